@@ -1,0 +1,1 @@
+"""Submaps: SLAM in large maps by many small, bounded EKF sub-maps."""

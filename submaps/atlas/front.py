@@ -1,0 +1,158 @@
+"""What the last solution leaves to the sub-maps after it: the frontier of the atlas.
+
+Between two solves a robot's active sub-map changes and others follow it. Each is conditioned on the
+one before: the joint of its frame and the landmarks that both hold goes in, its own factor is
+multiplied on, and what the next one needs comes out. Work is bounded by one sub-map, and nothing is
+counted twice: the factor that the solve used for a sub-map still active then is taken out first.
+Ties to sub-maps older than the neighbour wait for the next solve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from submaps.atlas.factors import factor, normal_equations, residual, rows_of
+from submaps.atlas.placed import Placed, as_pose
+from submaps.geometry.se2 import ORIGIN, Pose, compose, transform
+from submaps.submap import Submap
+
+Floats = NDArray[np.float64]
+_ITERATIONS = 20
+_CONVERGED = 1e-10
+
+
+@dataclass(frozen=True)
+class Front:
+    """Information about a sub-map's frame and landmarks from everything but its own factor.
+
+    ``information`` (3 + 2m, 3 + 2m) and ``vector`` (3 + 2m,) are of the increments of (``frame``,
+    ``points``): cost d^T information d + 2 vector^T d. A ``fixed`` frame is the component's first.
+    """
+
+    frame: Pose
+    landmarks: list[int]
+    points: Floats
+    information: Floats
+    vector: Floats
+    fixed: bool
+
+    @classmethod
+    def first(cls) -> Front:
+        """That of a component's first sub-map: its frame is the origin, and nothing else is known."""
+        return cls(ORIGIN, [], np.empty((0, 2)), np.zeros((3, 3)), np.zeros(3), True)
+
+    @classmethod
+    def of_solution(cls, placed: Placed, fixed: bool) -> Front:
+        """That of a sub-map which was active in a solve: the solve's joint less the factor it had then."""
+        H, g, _ = _equations(placed.submap, placed.shared, placed.frame, placed.end, placed.points)
+        own, gradient = _eliminate(H, g, np.arange(3, 6))
+        size = own.shape[0]
+        kept = np.r_[0:3, 6 : size + 3]
+        free = np.arange(3 if fixed else 0, size)
+        information = np.zeros((size, size))
+        inside = np.ix_(free, free)
+        information[inside] = np.linalg.inv(placed.covariance[np.ix_(kept, kept)][inside]) - own[inside]
+        return cls(placed.frame, placed.shared, placed.points, information, -gradient, fixed)
+
+
+def _equations(
+    submap: Submap, shared: list[int], frame: Pose, end: Pose, points: Floats
+) -> tuple[Floats, Floats, float]:
+    """A sub-map's Gauss-Newton block, gradient and cost over frame, end and shared landmarks."""
+    estimate, information = factor(submap, rows_of(submap, shared))
+    d = estimate.shape[0]
+    xi, J, H, g = np.empty(d), np.empty((d, 8)), np.empty((d + 3, d + 3)), np.empty(d + 3)
+    residual(submap.invariant, estimate, np.array(frame), np.array(end), points, xi, J)
+    cost = normal_equations(information, xi, J, H, g)
+    return np.tril(H) + np.tril(H, -1).T, g, cost
+
+
+def _eliminate(H: Floats, g: Floats, gone: NDArray[np.int64]) -> tuple[Floats, Floats]:
+    """Schur complement: information and gradient of the rest after the entries ``gone`` are marginalised."""
+    kept = np.setdiff1d(np.arange(H.shape[0]), gone)
+    if gone.shape[0] == 0:
+        return H, g
+    weight = np.linalg.solve(H[np.ix_(gone, gone)], H[np.ix_(gone, kept)]).T
+    reduced = H[np.ix_(kept, kept)] - weight @ H[np.ix_(gone, kept)]
+    return 0.5 * (reduced + reduced.T), g[kept] - weight @ g[gone]
+
+
+def _carried(front: Front, submap: Submap, following: Submap | None) -> Front:
+    """The front without landmarks that neither the sub-map nor the one after it holds."""
+    after = following.slot if following is not None else {}
+    keep = [i for i, number in enumerate(front.landmarks) if number in submap.slot or number in after]
+    gone = np.array([3 + 2 * i + a for i in range(len(front.landmarks)) if i not in keep for a in (0, 1)], dtype=int)
+    information, vector = _eliminate(front.information, front.vector, gone)
+    landmarks = [front.landmarks[i] for i in keep]
+    return Front(front.frame, landmarks, front.points[keep], information, vector, front.fixed)
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """The posterior of one sub-map at the front, about its converged values."""
+
+    placed: Placed
+    landmarks: list[int]
+    points: Floats
+    H: Floats
+    g: Floats
+
+
+def condition(front: Front, submap: Submap, following: Submap | None = None) -> _Joint:
+    """Gauss-Newton on the front's information and the sub-map's own factor.
+
+    With ``following``, the landmarks that it shares with the sub-map stay in as well.
+    """
+    front = _carried(front, submap, following)
+    landmarks = list(front.landmarks)
+    if following is not None:
+        landmarks += [int(i) for i in submap.landmarks if int(i) in following.slot and int(i) not in landmarks]
+    shared = [i for i in landmarks if i in submap.slot]
+    points = np.empty((len(landmarks), 2))
+    points[: len(front.landmarks)] = front.points
+    for i in range(len(front.landmarks), len(landmarks)):
+        at = submap.slot[landmarks[i]]
+        points[i] = transform(front.frame, float(submap.mean[at]), float(submap.mean[at + 1]))
+    values = np.concatenate([front.frame, compose(front.frame, submap.pose), points.ravel()])
+    start = values.copy()
+    place = np.array([landmarks.index(i) for i in shared], dtype=np.int64)
+    own = np.concatenate([np.arange(6), np.stack([6 + 2 * place, 7 + 2 * place], axis=1).ravel()]).astype(np.int64)
+    prior = np.concatenate([np.arange(3), np.arange(6, 6 + 2 * len(front.landmarks))])
+    free = np.arange(3 if front.fixed else 0, values.shape[0])
+    for _ in range(_ITERATIONS):
+        H, g = np.zeros((values.shape[0],) * 2), np.zeros(values.shape[0])
+        seen = np.ascontiguousarray(values[6:].reshape(-1, 2)[place])
+        block, gradient, _cost = _equations(submap, shared, as_pose(values[:3]), as_pose(values[3:6]), seen)
+        H[np.ix_(own, own)] += block
+        g[own] += gradient
+        H[np.ix_(prior, prior)] += front.information
+        g[prior] += front.vector + front.information @ (values - start)[prior]
+        step = np.linalg.solve(H[np.ix_(free, free)], g[free])
+        values[free] -= step
+        if float(np.abs(step).max(initial=0.0)) < _CONVERGED:
+            break
+    covariance = np.zeros_like(H)
+    covariance[np.ix_(free, free)] = np.linalg.inv(H[np.ix_(free, free)])
+    points = values[6:].reshape(-1, 2)
+    placed = Placed(
+        submap, as_pose(values[:3]), as_pose(values[3:6]), shared, np.ascontiguousarray(points[place]),
+        covariance[np.ix_(own, own)],
+    )  # fmt: skip
+    return _Joint(placed, landmarks, points, H, g)
+
+
+def advance(front: Front, submap: Submap, following: Submap) -> Front:
+    """The front of ``following``, whose frame is the end of the closed ``submap``."""
+    joint = condition(front, submap, following)
+    keep = [i for i, number in enumerate(joint.landmarks) if number in following.slot]
+    kept = np.array([3, 4, 5, *(6 + 2 * i + a for i in keep for a in (0, 1))])
+    gone = np.setdiff1d(np.arange(3 if front.fixed else 0, joint.H.shape[0]), kept)
+    H, g = joint.H, np.zeros_like(joint.g)  # converged: no gradient is left
+    if front.fixed:
+        H, g, gone, kept = H[3:, 3:], g[3:], gone - 3, kept - 3
+    information, vector = _eliminate(H, g, gone)
+    landmarks = [joint.landmarks[i] for i in keep]
+    return Front(joint.placed.end, landmarks, joint.points[keep], information, vector, False)

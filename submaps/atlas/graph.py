@@ -1,0 +1,166 @@
+"""The graph of relative transforms between sub-maps, and the surest path through it.
+
+An ``exit`` edge is a sub-map's end pose, where the next began. A ``tie`` joins two sub-maps that hold
+two or more landmarks in common, by weighted least squares. The transform between any two sub-maps
+composes along the path that a uniform-cost search finds, its cost the determinant of the composed
+covariance (Bosse, Newman, Leonard, Teller, IJRR 23(12), 2004).
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from dataclasses import dataclass
+from typing import Literal
+
+import networkx as nx
+import numpy as np
+from numpy.typing import NDArray
+
+from submaps.alignment import align
+from submaps.atlas.placed import additive_covariance, as_pose, rotation
+from submaps.atlas.state import AtlasState
+from submaps.errors import NotConnected
+from submaps.geometry.se2 import ORIGIN, Pose, compose, compose_covariance, inverse, inverse_covariance
+
+Floats = NDArray[np.float64]
+Kind = Literal["exit", "tie"]
+_J = np.array([[0.0, -1.0], [1.0, 0.0]])
+# Lets a path of edges without variance still cost something for each edge: (1e-4 m)^4 (1e-5 rad)^2.
+_FLOOR = np.diag([1e-8, 1e-8, 1e-10])
+
+
+@dataclass(frozen=True)
+class Edge:
+    """T_a_b (x m, y m, theta rad) of two sub-maps and the (3, 3) covariance of its additive errors."""
+
+    kind: Kind
+    a: int
+    b: int
+    transform: Pose
+    covariance: Floats
+
+
+class Graph:
+    """The graph of one state; edges are computed when asked for."""
+
+    def __init__(self, state: AtlasState) -> None:
+        self._state = state
+        self._pairs: list[tuple[Kind, int, int]] | None = None
+        self._near: dict[int, list[tuple[Kind, int, int]]] = {}
+        self._edges: dict[tuple[Kind, int, int], Edge] = {}
+
+    def pairs(self) -> list[tuple[Kind, int, int]]:
+        """(kind, a, b) of every edge, by the younger of its two sub-maps."""
+        if self._pairs is None:
+            self._pairs = list(itertools.chain.from_iterable(self._older(k) for k in range(self._state.submap_count)))
+        return self._pairs
+
+    def _older(self, number: int) -> list[tuple[Kind, int, int]]:
+        """Edges from a sub-map to older ones: its exit edge, then its ties."""
+        submap = self._state.submap(number)
+        found: list[tuple[Kind, int, int]] = []
+        if submap.previous >= 0:
+            found.append(("exit", submap.previous, number))
+        return found + [("tie", k, number) for k in self._tied(number) if k < number]
+
+    def _tied(self, number: int) -> list[int]:
+        """Sub-maps of the same robot that hold at least two landmarks in common with this one."""
+        state = self._state
+        submap = state.submap(number)
+        common: dict[int, int] = {}
+        for landmark in submap.slot:
+            for k in state.submaps_with(landmark):
+                common[k] = common.get(k, 0) + 1
+        same = (k for k, n in common.items() if n >= 2 and k != number and state.submap(k).robot == submap.robot)
+        return sorted(same)
+
+    def neighbours(self, number: int) -> list[tuple[Kind, int, int]]:
+        """Every edge of a sub-map."""
+        if number not in self._near:
+            submap = self._state.submap(number)
+            found: list[tuple[Kind, int, int]] = [("tie", min(k, number), max(k, number)) for k in self._tied(number)]
+            if submap.previous >= 0:
+                found.append(("exit", submap.previous, number))
+            if not submap.active:
+                found.append(("exit", number, submap.following))
+            self._near[number] = found
+        return self._near[number]
+
+    def edge(self, kind: Kind, a: int, b: int) -> Edge:
+        """The edge's transform and covariance."""
+        key = (kind, a, b)
+        if key not in self._edges:
+            if kind == "exit":
+                submap = self._state.submap(a)
+                self._edges[key] = Edge(kind, a, b, submap.pose, additive_covariance(submap, [], with_pose=True))
+            else:
+                self._edges[key] = self._tie(a, b)
+        return self._edges[key]
+
+    def _tie(self, a: int, b: int) -> Edge:
+        """T_a_b = argmin r^T C^-1 r, r_i = l_i^a - T l_i^b, C = C_a + R C_b R^T; covariance (J^T C^-1 J)^-1."""
+        first, second = self._state.submap(a), self._state.submap(b)
+        common = [i for i in first.slot if i in second.slot]
+        slots_a, slots_b = [first.slot[i] for i in common], [second.slot[i] for i in common]
+        A = np.array([first.mean[k : k + 2] for k in slots_a])
+        B = np.array([second.mean[k : k + 2] for k in slots_b])
+        cov_a, cov_b = additive_covariance(first, slots_a), additive_covariance(second, slots_b)
+        start = align(B, A)
+        T = np.array([start.x, start.y, start.theta])
+        for _ in range(10):
+            R = rotation(T[2])
+            turn = np.kron(np.eye(len(common)), R)
+            C = cov_a + turn @ cov_b @ turn.T
+            r = (A - T[:2] - B @ R.T).ravel()
+            J = np.zeros((r.shape[0], 3))
+            J[0::2, 0], J[1::2, 1] = 1.0, 1.0
+            J[:, 2] = (B @ R.T @ _J.T).ravel()
+            weighted = np.linalg.solve(C, np.column_stack([J, r]))
+            H = J.T @ weighted[:, :3]
+            step = np.linalg.solve(H, J.T @ weighted[:, 3])
+            T += step
+            if float(np.abs(step).max()) < 1e-10:
+                break
+        return Edge("tie", a, b, as_pose(T), np.linalg.inv(H))
+
+    def path(self, source: int, target: int) -> tuple[Pose, Floats, list[int]]:
+        """T_source_target along the surest path, its covariance, and the path.
+
+        Raises ``UnknownName`` for a sub-map that is not there, ``NotConnected`` without a path.
+        """
+        self._state.submap(source)
+        self._state.submap(target)
+        order = itertools.count()
+        queue: list[tuple[float, int, int, Pose, Floats, list[int]]] = [
+            (0.0, next(order), source, ORIGIN, np.zeros((3, 3)), [source])
+        ]
+        done: set[int] = set()
+        while queue:
+            _, _, at, T, covariance, path = heapq.heappop(queue)
+            if at == target:
+                return T, covariance, path
+            if at in done:
+                continue
+            done.add(at)
+            for kind, a, b in self.neighbours(at):
+                other = b if a == at else a
+                if other in done:
+                    continue
+                edge = self.edge(kind, a, b)
+                step, own = edge.transform, edge.covariance
+                if a != at:
+                    step, own = inverse(step), inverse_covariance(step, own)
+                grown = compose_covariance(T, covariance, step, own)
+                cost = float(np.linalg.det(grown + len(path) * _FLOOR))
+                heapq.heappush(queue, (cost, next(order), other, compose(T, step), grown, [*path, other]))
+        raise NotConnected(f"no path of ties leads from submap/{source} to submap/{target}")
+
+    def as_networkx(self) -> nx.MultiGraph[int]:
+        """The graph with its edges' ``kind``, ``transform`` (T_a_b, a the smaller number) and ``covariance``."""
+        graph: nx.MultiGraph[int] = nx.MultiGraph()
+        graph.add_nodes_from(range(self._state.submap_count))
+        for pair in self.pairs():
+            e = self.edge(*pair)
+            graph.add_edge(e.a, e.b, key=e.kind, kind=e.kind, transform=e.transform, covariance=e.covariance)
+        return graph

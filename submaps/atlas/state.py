@@ -1,0 +1,102 @@
+"""The atlas as it stands at one moment: immutable, sharing all but the active sub-maps."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from submaps.config import MapConfig
+from submaps.errors import UnknownName
+from submaps.geometry.se2 import Pose
+from submaps.submap import Submap
+
+if TYPE_CHECKING:
+    from submaps.atlas.solution import Solution
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """Where a robot is: in its active sub-map (``pose``), and by dead reckoning (``odom``)."""
+
+    id: str
+    number: int
+    first: int
+    submap: int
+    t: float
+    steps: int
+    observations: int
+    rejected: int
+    pose: Pose
+    odom: Pose
+    odom_covariance: Floats
+
+
+@dataclass(frozen=True)
+class AtlasState:
+    """Closed sub-maps (shared, append-only lists), active ones as copied, robots, last solution.
+
+    The shared lists may grow after this state was taken; the counts say how much of them is part
+    of it. ``sightings[i]`` names the closed sub-maps that hold landmark i, in order of closing.
+    """
+
+    config: MapConfig
+    records: list[Submap | None]
+    submap_count: int
+    active: dict[int, Submap]
+    names: list[str]
+    landmark_count: int
+    number_of: dict[str, int]
+    sightings: list[list[int]]
+    robots: dict[str, RobotState]
+    closed_bytes: int
+    version: int
+    solution: Solution | None = field(default=None)
+
+    @classmethod
+    def empty(cls, config: MapConfig) -> AtlasState:
+        """The state of a map that has seen nothing."""
+        return cls(config, [], 0, {}, [], 0, {}, [], {}, 0, 0)
+
+    def submap(self, number: int) -> Submap:
+        """Sub-map ``number`` as of this state; raises ``UnknownName``."""
+        if not 0 <= number < self.submap_count:
+            raise UnknownName(f"submap {number}: the map has {self.submap_count}")
+        found = self.active.get(number) or self.records[number]
+        assert found is not None  # closed before the state was taken
+        return found
+
+    def submaps(self) -> Iterator[Submap]:
+        """Every sub-map, by number."""
+        return (self.submap(k) for k in range(self.submap_count))
+
+    def chain(self, robot: int) -> list[Submap]:
+        """A robot's sub-maps, from its first to its active one."""
+        return [s for s in self.submaps() if s.robot == robot]
+
+    def submaps_with(self, landmark: int) -> list[int]:
+        """Numbers of the sub-maps that hold a landmark, active ones included."""
+        closed = [k for k in list(self.sightings[landmark]) if k < self.submap_count and k not in self.active]
+        return sorted(closed + [k for k, s in self.active.items() if landmark in s.slot])
+
+    def robot(self, name: str) -> RobotState:
+        """A robot by name; raises ``UnknownName``."""
+        if name not in self.robots:
+            raise UnknownName(f"robot {name!r} has not sent anything to this map")
+        return self.robots[name]
+
+    def digest(self) -> bytes:
+        """Digest of everything that a solve is computed from."""
+        digest = hashlib.blake2b(digest_size=16)
+        for submap in self.submaps():
+            digest.update(submap.digest)
+        if self.solution is not None:
+            digest.update(self.solution.frames.tobytes())
+            digest.update(self.solution.landmarks.tobytes())
+        return digest.digest()

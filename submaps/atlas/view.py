@@ -1,0 +1,306 @@
+"""Answers about an atlas at one moment: poses, landmarks, sub-maps, in any frame that is connected."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from submaps.atlas.front import Front, advance, condition
+from submaps.atlas.graph import Edge, Graph
+from submaps.atlas.placed import Placed, additive_covariance, as_pose, rotation
+from submaps.atlas.state import AtlasState, RobotState
+from submaps.errors import NotConnected, UnknownName
+from submaps.geometry.se2 import ORIGIN, Pose, compose, compose_covariance, inverse, transform
+from submaps.submap import Submap
+
+Floats = NDArray[np.float64]
+Box = tuple[float, float, float, float]
+_J = np.array([[0.0, -1.0], [1.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class PoseEstimate:
+    """A pose (x m, y m, theta rad) in a frame, with the (3, 3) covariance of its additive errors."""
+
+    frame: str
+    t: float
+    x: float
+    y: float
+    theta: float
+    covariance: Floats
+    kind: str
+    submap: int
+    map_T_odom: Pose | None = None
+
+
+@dataclass(frozen=True)
+class LandmarkEstimate:
+    """A landmark's position (m) in a frame, with its (2, 2) covariance and the sub-maps that hold it."""
+
+    id: str
+    x: float
+    y: float
+    covariance: Floats
+    submaps: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class SubmapState:
+    """What the atlas says of one sub-map; ``pose`` is its frame in ``map``, ``None`` if not connected."""
+
+    id: int
+    robot: str
+    active: bool
+    pose: Pose | None
+    covariance: Floats | None
+    landmarks: int
+    steps: int
+    observations: int
+    nis: float | None
+    began: float
+    ended: float | None
+
+
+class View:
+    """An immutable view of a map; every query may run in any thread."""
+
+    def __init__(self, state: AtlasState) -> None:
+        self.state = state
+        self.graph = Graph(state)
+        self._names = {r.number: r.id for r in state.robots.values()}
+        self._lock = threading.RLock()
+        self._placed: dict[int, Placed] = {}
+
+    @property
+    def version(self) -> int:
+        """Rises with each published solve."""
+        return self.state.version
+
+    @property
+    def submap_count(self) -> int:
+        """How many sub-maps have begun."""
+        return self.state.submap_count
+
+    def counts(self) -> dict[str, int]:
+        """Totals of the map; ``bytes`` is what the estimates take."""
+        robots = self.state.robots.values()
+        return {
+            "robots": len(robots),
+            "steps": sum(r.steps for r in robots),
+            "observations": sum(r.observations for r in robots),
+            "rejected": sum(r.rejected for r in robots),
+            "landmarks": self.state.landmark_count,
+            "submaps": self.state.submap_count,
+            "edges": len(self.graph.pairs()),
+            "bytes": self.state.closed_bytes + sum(s.nbytes for s in self.state.active.values()),
+        }
+
+    def robots(self) -> list[RobotState]:
+        """Every robot, in order of appearance."""
+        return sorted(self.state.robots.values(), key=lambda r: r.number)
+
+    # -- frames ------------------------------------------------------------------------------
+
+    def placed(self, number: int) -> Placed:
+        """Sub-map ``number`` in the frame of its component, conditioned on the last solution."""
+        state, solution = self.state, self.state.solution
+        submap = state.submap(number)
+        if solution is not None and number < solution.base.submap_count:
+            then = solution.base.submap(number)
+            if then is submap or (then.active and submap.active and then.digest == submap.digest):
+                return solution.placed(number)
+        with self._lock:
+            if number not in self._placed:
+                self._placed[number] = condition(self._front(submap), submap).placed
+            return self._placed[number]
+
+    def _front(self, submap: Submap) -> Front:
+        """What the solution and the sub-maps since say of this sub-map's frame and landmarks."""
+        solution = self.state.solution
+        since: list[Submap] = []
+        at = submap
+        while at.previous >= 0 and (solution is None or at.number >= solution.base.submap_count):
+            at = self.state.submap(at.previous)
+            since.append(at)
+        if solution is None or at.number >= solution.base.submap_count:
+            front = Front.first()
+        else:
+            front = Front.of_solution(solution.placed(at.number), fixed=at.previous < 0)
+        for before, after in zip(since[::-1], [*since[-2::-1], submap], strict=True):
+            front = advance(front, before, after)
+        return front
+
+    def _in_map(self, submap: Submap) -> None:
+        if submap.robot != 0:
+            names = self._names
+            own, first = names[submap.robot], names[0]
+            raise NotConnected(f"no ties lead from robot {own!r} to 'map', the frame of robot {first!r}'s first pose")
+
+    def frame_in(self, number: int, frame: str) -> Pose:
+        """Mean of a sub-map's frame (x m, y m, theta rad) in ``map`` or ``submap/k``."""
+        target = self._submap_of(frame)
+        if target is not None:
+            return self.transform(target, number)[0]
+        submap = self.state.submap(number)
+        self._in_map(submap)
+        solution = self.state.solution
+        if solution is not None and number < solution.base.submap_count:
+            return as_pose(solution.frames[number])
+        return self.placed(number).frame
+
+    def _submap_of(self, frame: str) -> int | None:
+        """The number in ``submap/k``, ``None`` for ``map``; raises ``UnknownName``."""
+        if frame == "map":
+            return None
+        match = re.fullmatch(r"submap/(\d{1,9})", frame)
+        if match is None:
+            raise UnknownName(f"frame {frame!r}: expected map, odom or submap/NUMBER")
+        self.state.submap(int(match[1]))
+        return int(match[1])
+
+    # -- poses -------------------------------------------------------------------------------
+
+    def pose(self, robot: str, frame: str = "map") -> PoseEstimate:
+        """Where a robot is, in ``map``, ``odom`` or ``submap/k``.
+
+        Raises ``UnknownName`` and, where no path of ties leads to the frame, ``NotConnected``.
+        """
+        r = self.state.robot(robot)
+        if frame == "odom":
+            return PoseEstimate(frame, r.t, *r.odom, r.odom_covariance, "dead_reckoning", r.submap)
+        target = self._submap_of(frame)
+        active = self.state.submap(r.submap)
+        if target is None:
+            self._in_map(active)
+            placed = self.placed(r.submap)
+            correction = compose(placed.end, inverse(r.odom))
+            return PoseEstimate(frame, r.t, *placed.end, placed.end_covariance, "joined", r.submap, correction)
+        local = additive_covariance(active, [], with_pose=True)
+        if target == r.submap:
+            return PoseEstimate(frame, r.t, *r.pose, local, "filtered", r.submap)
+        T, covariance, _ = self.transform(target, r.submap)
+        there = compose(T, r.pose)
+        return PoseEstimate(frame, r.t, *there, compose_covariance(T, covariance, r.pose, local), "path", r.submap)
+
+    # -- landmarks ---------------------------------------------------------------------------
+
+    def landmark_ids(self) -> Sequence[str]:
+        """Names of the landmarks in order of first sighting."""
+        return self.state.names[: self.state.landmark_count]
+
+    def landmark(self, name: str, frame: str = "map") -> LandmarkEstimate:
+        """A landmark in ``map`` or ``submap/k``; raises ``UnknownName`` and ``NotConnected``."""
+        number = self.state.number_of.get(name, self.state.landmark_count)
+        if number >= self.state.landmark_count or not self.state.submaps_with(number):
+            raise UnknownName(f"landmark {name!r} has not been seen in this map")
+        return self._landmark(number, frame)
+
+    def _landmark(self, number: int, frame: str) -> LandmarkEstimate:
+        holders = self.state.submaps_with(number)
+        target = self._submap_of(frame)
+        if target is None:
+            own = [k for k in holders if self.state.submap(k).robot == 0]
+            if not own:
+                self._in_map(self.state.submap(holders[0]))
+            point, covariance = self._joined(number, own)
+        else:
+            point, covariance = self._by_path(number, holders, target)
+        return LandmarkEstimate(
+            self.state.names[number], float(point[0]), float(point[1]), covariance, tuple(holders)
+        )  # fmt: skip
+
+    def _joined(self, number: int, holders: list[int]) -> tuple[Floats, Floats]:
+        """From the newest sub-map that the solution reaches through it, else from the solution."""
+        solution = self.state.solution
+        newest = self.placed(holders[-1])
+        if solution is None or number in newest.shared:
+            return newest.landmark(number)
+        base = [k for k in holders if k < solution.base.submap_count and number in solution.base.submap(k).slot]
+        if not base:
+            return newest.landmark(number)
+        return solution.point(0, number) or solution.placed(base[0]).landmark(number)
+
+    def _by_path(self, number: int, holders: list[int], target: int) -> tuple[Floats, Floats]:
+        k = target if target in holders else min(holders, key=lambda h: abs(h - target))
+        submap = self.state.submap(k)
+        slot = submap.slot[number]
+        point, covariance = submap.mean[slot : slot + 2], additive_covariance(submap, [slot])
+        if k == target:
+            return point, covariance
+        T, by_frame, _ = self.transform(target, k)
+        there = np.array(transform(T, float(point[0]), float(point[1])))
+        A = np.hstack([np.eye(2), (_J @ (there - np.array(T[:2])))[:, np.newaxis]])
+        R = rotation(T[2])
+        return there, A @ by_frame @ A.T + R @ covariance @ R.T
+
+    def landmarks(
+        self, start: int = 0, limit: int = 100, frame: str = "map", bbox: Box | None = None
+    ) -> tuple[list[LandmarkEstimate], int | None]:
+        """Up to ``limit`` landmarks from number ``start`` on, in order of first sighting, and where to go on.
+
+        ``bbox`` (x0, y0, x1, y1) keeps those inside. In ``map``, landmarks that no tie connects to it
+        are left out.
+        """
+        found: list[LandmarkEstimate] = []
+        for number in range(start, self.state.landmark_count):
+            if len(found) == limit:
+                return found, number
+            if not self.state.submaps_with(number):
+                continue
+            try:
+                estimate = self._landmark(number, frame)
+            except NotConnected:
+                continue
+            if bbox is None or (bbox[0] <= estimate.x <= bbox[2] and bbox[1] <= estimate.y <= bbox[3]):
+                found.append(estimate)
+        return found, None
+
+    # -- sub-maps and the graph --------------------------------------------------------------
+
+    def submap(self, number: int) -> SubmapState:
+        """What the atlas says of a sub-map; raises ``UnknownName``."""
+        s = self.state.submap(number)
+        placed = self.placed(number) if s.robot == 0 else None
+        return SubmapState(
+            id=number, robot=self._names[s.robot], active=s.active,
+            pose=placed.frame if placed else None, covariance=placed.frame_covariance if placed else None,
+            landmarks=int(s.landmarks.shape[0]), steps=s.steps, observations=s.observations,
+            nis=s.nis_sum / (2 * s.nis_count) if s.nis_count else None,
+            began=s.began, ended=None if s.active else s.ended,
+        )  # fmt: skip
+
+    def submaps(self) -> Iterator[SubmapState]:
+        """Every sub-map, by number."""
+        return (self.submap(k) for k in range(self.submap_count))
+
+    def local_pose(self, number: int) -> tuple[Pose, Floats]:
+        """The pose at a sub-map's end in its own frame, with its (3, 3) covariance."""
+        s = self.state.submap(number)
+        return s.pose, additive_covariance(s, [], with_pose=True)
+
+    def local_landmarks(self, number: int) -> list[LandmarkEstimate]:
+        """A sub-map's landmarks in its own frame."""
+        s = self.state.submap(number)
+        found = []
+        for i, slot in s.slot.items():
+            covariance = additive_covariance(s, [slot])
+            x, y = float(s.mean[slot]), float(s.mean[slot + 1])
+            found.append(LandmarkEstimate(self.state.names[i], x, y, covariance, tuple(self.state.submaps_with(i))))
+        return found
+
+    def edges(self, start: int = 0, limit: int | None = None) -> list[Edge]:
+        """Edges of the graph from number ``start`` on, in an order that never changes."""
+        pairs = self.graph.pairs()
+        return [self.graph.edge(*pair) for pair in pairs[start : None if limit is None else start + limit]]
+
+    def transform(self, source: int, target: int) -> tuple[Pose, Floats, list[int]]:
+        """T_source_target, its (3, 3) covariance, and the path of sub-maps that it composes along."""
+        if source == target:
+            self.state.submap(source)
+            return ORIGIN, np.zeros((3, 3)), [source]
+        return self.graph.path(source, target)

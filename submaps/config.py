@@ -1,0 +1,127 @@
+"""What a map is made of: models, filter and bounds of a sub-map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from submaps.errors import ConfigError
+
+MotionModel = Literal["odometry", "velocity"]
+ObservationModel = Literal["cartesian", "range_bearing"]
+FilterName = Literal["invariant", "standard"]
+
+MOTION_CHANNELS: dict[str, tuple[str, ...]] = {
+    "odometry": ("dx", "dy", "dtheta"),
+    "velocity": ("v", "omega"),
+}
+OBSERVATION_CHANNELS: dict[str, tuple[str, ...]] = {
+    "cartesian": ("x", "y"),
+    "range_bearing": ("range", "bearing"),
+}
+
+
+@dataclass(frozen=True)
+class MotionConfig:
+    """A motion model and the standard deviation of one step's reading.
+
+    ``odometry``: (dx m, dy m, dtheta rad). ``velocity``: (v m/s, omega rad/s), with an optional
+    third, the lateral slip in m/s.
+    """
+
+    model: MotionModel
+    sigma: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        _check_choice("motion.model", self.model, get_args(MotionModel))
+        lengths = (3,) if self.model == "odometry" else (2, 3)
+        _check_numbers("motion.sigma", self.sigma, lengths, least=0.0)
+        object.__setattr__(self, "sigma", tuple(float(s) for s in self.sigma))
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the control's channels, in the order of the columns."""
+        return MOTION_CHANNELS[self.model]
+
+
+@dataclass(frozen=True)
+class ObservationConfig:
+    """An observation model, its standard deviation, and the sensor's pose in the body frame.
+
+    ``cartesian``: (m, m). ``range_bearing``: (m, rad). ``mount``: (x m, y m, theta rad).
+    """
+
+    model: ObservationModel
+    sigma: tuple[float, ...]
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        _check_choice("observation.model", self.model, get_args(ObservationModel))
+        _check_numbers("observation.sigma", self.sigma, (2,), above=0.0)
+        _check_numbers("observation.mount", self.mount, (3,))
+        object.__setattr__(self, "sigma", tuple(float(s) for s in self.sigma))
+        object.__setattr__(self, "mount", tuple(float(m) for m in self.mount))
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the observation's channels, in the order of the columns."""
+        return OBSERVATION_CHANNELS[self.model]
+
+
+@dataclass(frozen=True)
+class MapConfig:
+    """Everything that decides how a map estimates.
+
+    ``gate`` is the chi-square probability beyond which an observation is rejected (``None``: all
+    are used). A sub-map closes at ``max_landmarks``, or when the heading's standard deviation in
+    its own frame passes ``max_heading_sigma`` (rad), or that of its position
+    ``max_position_sigma`` (m), after ``min_observed_steps`` steps with
+    observations.
+    """
+
+    motion: MotionConfig
+    observation: ObservationConfig
+    filter: FilterName = "invariant"
+    gate: float | None = field(default=None)
+    max_landmarks: int = 50
+    max_heading_sigma: float = 0.010
+    min_observed_steps: int = 5
+    max_position_sigma: float = 0.15
+
+    def __post_init__(self) -> None:
+        _check_choice("filter", self.filter, get_args(FilterName))
+        if self.gate is not None and not 0.0 < self.gate < 1.0:
+            raise ConfigError("association.gate", self.gate, "null or a probability in (0, 1)")
+        if not 1 <= self.max_landmarks <= 1000:
+            raise ConfigError("submap.max_landmarks", self.max_landmarks, "an integer in 1..1000")
+        if not 0.0 < self.max_heading_sigma < math.inf:
+            raise ConfigError("submap.max_heading_sigma", self.max_heading_sigma, "rad, above 0")
+        if not 0.0 < self.max_position_sigma < math.inf:
+            raise ConfigError("submap.max_position_sigma", self.max_position_sigma, "m, above 0")
+        if not 1 <= self.min_observed_steps <= 1_000_000:
+            raise ConfigError("submap.min_observed_steps", self.min_observed_steps, "an integer in 1..1000000")
+
+
+def _check_choice(name: str, got: object, known: Sequence[str]) -> None:
+    if got not in known:
+        raise ConfigError(name, got, "one of " + ", ".join(known))
+
+
+def _check_numbers(
+    name: str,
+    got: Sequence[float],
+    lengths: Sequence[int],
+    *,
+    least: float = -math.inf,
+    above: float = -math.inf,
+) -> None:
+    expected = " or ".join(str(n) for n in lengths) + " finite numbers"
+    if above == 0.0:
+        expected += " above 0"
+    elif least == 0.0:
+        expected += ", none below 0"
+    good = len(got) in lengths and all(math.isfinite(v) and v >= least and v > above for v in got)
+    if not good:
+        raise ConfigError(name, tuple(got), expected)

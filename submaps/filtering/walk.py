@@ -1,0 +1,186 @@
+"""The compiled walk over a batch's columns; it comes back to Python only for rare events."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from submaps._jit import jit
+from submaps.filtering.kernel import (
+    FIRST,
+    GATED,
+    SINGULAR,
+    accumulate,
+    add_rank_one,
+    augment,
+    predict_invariant,
+    predict_standard,
+    update,
+)
+from submaps.geometry.trig import sincos, wrap
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# What the walk comes back for.
+DONE, GENESIS, GROW = 0, 1, 2
+# Places in a sub-map's ``counts``: state dimension, steps with observations, steps, observations
+# used, observations rejected.
+DIM, OBSERVED, STEPS, OBSERVATIONS, REJECTED, COUNTS = 0, 1, 2, 3, 4, 5
+# Places in ``motion``: pending increment (3), its covariance (9, row order), sum of NIS, and the
+# number of observations that it sums.
+NOISE, NIS_SUM, NIS_COUNT, MOTION = 3, 12, 13, 14
+# Places in the integer and real settings.
+MODEL, INVARIANT, MAX_LANDMARKS, MIN_OBSERVED = 0, 1, 2, 3
+MOUNT, GATE, FLAG, MAX_HEADING_VARIANCE, MAX_POSITION_VARIANCE = 0, 4, 5, 6, 7
+
+
+@jit()
+def _predict(x: Floats, P: Floats, n: int, motion: Floats, invariant: int, u: Floats) -> bool:
+    noise = motion[NOISE : NOISE + 9].reshape(3, 3)
+    has_u = False
+    if invariant:
+        has_u = predict_invariant(x, P, n, motion[:3], noise, u)
+    else:
+        predict_standard(x, P, n, motion[:3], noise)
+    motion[:NIS_SUM] = 0.0
+    return has_u
+
+
+@jit("void(float64[::1], float64[:, ::1], int64[::1], float64[::1], int64, float64[:, ::1])")
+def flush(x: Floats, P: Floats, counts: Ints, motion: Floats, invariant: int, scratch: Floats) -> None:
+    """Predict with the pending increment and clear it, on x, P and ``motion`` in place."""
+    has_u = _predict(x, P, counts[DIM], motion, invariant, scratch[0])
+    if has_u:
+        add_rank_one(P, counts[DIM], scratch[0])
+
+
+@jit()
+def _new_landmarks(landmark: Ints, slot_of: NDArray[np.int32], begin: int, end: int) -> int:
+    """How many of these observations' landmarks the sub-map does not hold, each counted once."""
+    new = 0
+    for i in range(begin, end):
+        if slot_of[landmark[i]] < 0:
+            slot_of[landmark[i]] -= 1
+            new += slot_of[landmark[i]] == -2
+    for i in range(begin, end):
+        if slot_of[landmark[i]] < 0:
+            slot_of[landmark[i]] = -1
+    return new
+
+
+@jit()
+def _position_variance(x: Floats, P: Floats, motion: Floats, invariant: bool) -> float:
+    """Trace of the pose's position covariance (m^2), the pending increment's own noise included."""
+    variance: float = P[0, 0] + P[1, 1] + motion[NOISE] + motion[NOISE + 4]
+    if invariant:  # additive error = xi_p + J p xi_theta
+        variance += 2.0 * (x[0] * P[1, 2] - x[1] * P[0, 2]) + (x[0] * x[0] + x[1] * x[1]) * P[2, 2]
+    return variance
+
+
+@jit()
+def _wants_genesis(new: int, x: Floats, P: Floats, counts: Ints, motion: Floats, whole: Ints, real: Floats) -> bool:
+    held = int(counts[DIM] - 3) // 2
+    if held == 0 and counts[OBSERVED] == 0:
+        return False
+    full = held + new > int(whole[MAX_LANDMARKS])
+    if motion[0] == 0.0 and motion[1] == 0.0 and motion[2] == 0.0:
+        # A robot that stands still begins no sub-map, but a state must stay bounded.
+        return held + new > 2 * int(whole[MAX_LANDMARKS])
+    if full or counts[OBSERVED] < whole[MIN_OBSERVED]:
+        return full
+    heading = float(P[2, 2] + motion[NOISE + 8])
+    position = _position_variance(x, P, motion, whole[INVARIANT] != 0)
+    return heading > float(real[MAX_HEADING_VARIANCE]) or position > float(real[MAX_POSITION_VARIANCE])
+
+
+@jit()
+def _observe(
+    begin: int, end: int, landmark: Ints, z: Floats, R: Floats, whole: Ints, real: Floats, x: Floats, P: Floats,
+    ids: Ints, counts: Ints, motion: Floats, slot_of: NDArray[np.int32], scratch: Floats, nis: Floats,
+    status: NDArray[np.uint8],
+) -> None:  # fmt: skip
+    """Predict with the pending increment, then take one step's observations in turn."""
+    u, a, b = scratch[0], scratch[1], scratch[2]
+    mount = real[MOUNT : MOUNT + 4]
+    model, invariant = whole[MODEL], whole[INVARIANT] != 0
+    has_u = _predict(x, P, counts[DIM], motion, whole[INVARIANT], u)
+    for o in range(begin, end):
+        n = counts[DIM]
+        slot = slot_of[landmark[o]]
+        Ro = R[o if R.shape[0] > 1 else 0]
+        if slot >= 0:
+            status[o], nis[o] = update(
+                x, P, n, slot, model, mount, z[0, o], z[1, o], Ro, real[GATE], real[FLAG], invariant, u, has_u, a, b
+            )
+            if status[o] == GATED or status[o] == SINGULAR:
+                counts[REJECTED] += 1
+                continue
+            has_u = False
+            motion[NIS_SUM] += nis[o]
+            motion[NIS_COUNT] += 1.0
+        else:
+            if has_u:
+                add_rank_one(P, n, u)
+                has_u = False
+            nis[o] = math.nan
+            if not augment(x, P, n, model, mount, z[0, o], z[1, o], Ro, invariant):
+                status[o] = SINGULAR
+                counts[REJECTED] += 1
+                continue
+            status[o] = FIRST
+            slot_of[landmark[o]] = n
+            ids[(n - 3) // 2] = landmark[o]
+            counts[DIM] = n + 2
+        counts[OBSERVATIONS] += 1
+    if has_u:
+        add_rank_one(P, counts[DIM], u)
+    counts[OBSERVED] += 1
+
+
+@jit(
+    "UniTuple(int64, 2)(int64, boolean, float64[:, ::1], float64[:, :, ::1], int64[::1], int64[::1], int64[::1],"
+    "float64[:, ::1], float64[:, :, ::1], int64[::1], float64[::1], float64[::1], float64[:, ::1], int64[::1],"
+    "int64[::1], float64[::1], int32[::1], float64[:, ::1], float64[::1], uint8[::1], float64[:, ::1], int64)"
+)
+def walk(
+    step: int, resumed: bool, increments: Floats, noises: Floats, control_step: Ints, observation_step: Ints,
+    landmark: Ints, z: Floats, R: Floats, whole: Ints, real: Floats, x: Floats, P: Floats, ids: Ints,
+    counts: Ints, motion: Floats, slot_of: NDArray[np.int32], scratch: Floats, nis: Floats,
+    status: NDArray[np.uint8], track: Floats, steps: int,
+) -> tuple[int, int]:  # fmt: skip
+    """Apply steps ``step`` .. ``steps`` - 1 to one sub-map, as far as it goes; (event, step).
+
+    ``resumed`` says that the first step's control has been taken already. ``R`` holds one
+    covariance for all observations or one for each. Writes each observation's ``status`` and
+    ``nis``, and ``track``, the pose after each step. Events: DONE; GENESIS, before a step's
+    observations, which belong to the next sub-map; GROW, where the arrays are too small for them.
+    """
+    noise = motion[NOISE : NOISE + 9].reshape(3, 3)
+    c = int(np.searchsorted(control_step, step + (1 if resumed else 0)))
+    i = int(np.searchsorted(observation_step, step))
+    while step < steps:
+        if not resumed and c < control_step.shape[0] and control_step[c] == step:
+            accumulate(motion[:3], noise, increments[c], noises[c])
+            c += 1
+        resumed = False
+        end = i
+        while end < observation_step.shape[0] and observation_step[end] == step:
+            end += 1
+        if end > i:
+            new = _new_landmarks(landmark, slot_of, i, end)
+            if _wants_genesis(new, x, P, counts, motion, whole, real):
+                return GENESIS, step
+            if counts[DIM] + 2 * new > P.shape[0]:
+                return GROW, step
+            _observe(i, end, landmark, z, R, whole, real, x, P, ids, counts, motion, slot_of, scratch, nis, status)
+            i = end
+        counts[STEPS] += 1
+        sine, cosine = sincos(x[2])
+        track[step, 0] = x[0] + cosine * motion[0] - sine * motion[1]
+        track[step, 1] = x[1] + sine * motion[0] + cosine * motion[1]
+        track[step, 2] = wrap(x[2] + motion[2])
+        step += 1
+    return DONE, step

@@ -1,0 +1,235 @@
+"""The main path: a batch walks through one robot's active sub-map, and on into the next.
+
+Steps are taken in order: predict, associate (known ids), update, augment. The compiled walk
+comes back here only where a sub-map is full or its arrays have to grow.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from submaps.atlas.solution import Solution
+from submaps.atlas.state import AtlasState, RobotState
+from submaps.atlas.view import View
+from submaps.config import MapConfig
+from submaps.consistency import chi_square_bound
+from submaps.filtering import kernel
+from submaps.filtering import walk as columns
+from submaps.geometry.trig import sincos
+from submaps.measurements import Batch, Floats, Ints, Rejection, Report
+from submaps.motion.increments import dead_reckon, increments
+from submaps.observation.models import MODELS
+from submaps.submap import ActiveSubmap
+
+FLAG_PROBABILITY = 0.9999
+# Sub-maps that only extend the solution may wait this long for the next solve.
+PENDING_EXTENSIONS = 8
+_FIRST_CAPACITY = 50
+_REASONS = {kernel.GATED: "gate", kernel.SINGULAR: "singular", kernel.FLAGGED: "unlikely"}
+
+
+class _Robot:
+    """One robot's place in the map: its clock, its dead reckoning, its active sub-map."""
+
+    def __init__(self, number: int, name: str, active: ActiveSubmap) -> None:
+        self.number = number
+        self.name = name
+        self.active = active
+        self.first = active.number
+        self.t: float | None = None
+        self.odom = np.zeros(3)
+        self.odom_covariance = np.zeros((3, 3))
+        self.closed_counts = np.zeros(columns.COUNTS, dtype=np.int64)
+
+
+class Mapper:
+    """One map of any number of robots; changed by one thread at a time.
+
+    ``solve_due`` says that a sub-map closed which ties to older ones, or that several have closed,
+    since the last call of ``problem``.
+    """
+
+    def __init__(self, config: MapConfig) -> None:
+        self.config = config
+        self.solve_due = False
+        self._pending = 0
+        self._invariant = config.filter == "invariant"
+        self._whole, self._real, self._R = _settings(config)
+        self._robots: dict[str, _Robot] = {}
+        self._slot_of = np.full(256, -1, dtype=np.int32)
+        self._last_seen = np.full(256, -1, dtype=np.int32)
+        self._slots_of: ActiveSubmap | None = None
+        self._state = AtlasState.empty(config)
+        self._changed: set[str] = set()
+
+    def apply(self, robot: str, batch: Batch) -> Report:
+        """Take in an admitted batch of one robot's measurements; never fails on its content."""
+        r = self._robots.get(robot) or self._new_robot(robot, float(batch.t[0]))
+        landmark = self._intern(batch.landmark)
+        steps, noises = increments(self.config.motion, batch, r.t)
+        dead_reckon(r.odom, r.odom_covariance, steps, noises)
+        R = self._R if batch.observation_covariance is None else _one_each(batch.observation_covariance)
+        nis = np.empty(batch.observations)
+        status = np.zeros(batch.observations, dtype=np.uint8)
+        track = np.empty((batch.steps, 3))
+        track_submap = np.empty(batch.steps, dtype=np.int32)
+        event, step, resumed = columns.GENESIS, 0, False
+        while event != columns.DONE:
+            s, begin = r.active, step
+            self._lend_slots(s)
+            event, step = columns.walk(
+                step, resumed, steps, noises, batch.control_step, batch.observation_step, landmark, batch.z, R,
+                self._whole, self._real, s.x, s.P, s.ids, s.counts, s.motion, self._slot_of, s.scratch,
+                nis, status, track, batch.steps,
+            )  # fmt: skip
+            track_submap[begin:step] = s.number
+            resumed = True
+            if event == columns.GENESIS:
+                self._begin_next(r, float(batch.t[step]))
+            elif event == columns.GROW:
+                self._slots_of = s.grow(int(np.count_nonzero(batch.observation_step == step)) + s.landmark_count)
+        r.t = float(batch.t[-1])
+        self._changed.add(robot)
+        rejected, flagged = _set_aside(batch, status, nis)
+        x, y, theta = track[-1]
+        return Report(
+            r.active.number, r.t, (float(x), float(y), float(theta)), rejected, flagged, track_submap, track
+        )  # fmt: skip
+
+    def view(self) -> View:
+        """What queries see: immutable, sharing all but the active sub-maps that changed."""
+        self._publish()
+        return View(self._state)
+
+    def problem(self) -> AtlasState:
+        """What a solve of this moment needs; clears ``solve_due``."""
+        self._publish()
+        self.solve_due = False
+        self._pending = 0
+        return self._state
+
+    def install(self, solution: Solution) -> None:
+        """Publish a solve: queries in ``map`` refer to it from now on."""
+        self._state = replace(self._state, solution=solution, version=self._state.version + 1)
+
+    # -- robots, landmarks, sub-maps ---------------------------------------------------------
+
+    def _new_robot(self, name: str, t: float) -> _Robot:
+        number = len(self._robots)
+        robot = _Robot(number, name, self._new_submap(number, -1, t))
+        self._robots[name] = robot
+        return robot
+
+    def _new_submap(self, robot: int, previous: int, began: float) -> ActiveSubmap:
+        number = len(self._state.records)
+        self._state.records.append(None)
+        return ActiveSubmap(number, robot, previous, began, min(self.config.max_landmarks, _FIRST_CAPACITY))
+
+    def _begin_next(self, r: _Robot, t: float) -> None:
+        """Close the robot's sub-map at its present pose and begin the next one there."""
+        old = r.active
+        old.predict(self._invariant)
+        r.active = self._new_submap(r.number, old.number, t)
+        closed = old.snapshot(t, self._invariant, following=r.active.number)
+        state = self._state
+        state.records[old.number] = closed
+        for landmark in closed.landmarks:
+            state.sightings[landmark].append(old.number)
+        seen = self._last_seen[closed.landmarks]
+        self._last_seen[closed.landmarks] = old.number
+        self._pending += 1
+        ties_to_older = bool(np.any((seen >= 0) & (seen != old.previous)))
+        self.solve_due |= ties_to_older or self._pending >= PENDING_EXTENSIONS
+        self._state = replace(state, closed_bytes=state.closed_bytes + closed.nbytes)
+        r.closed_counts += old.counts
+
+    def _intern(self, names: tuple[str, ...]) -> Ints:
+        """The map's numbers of landmark names; new names get the next ones."""
+        state = self._state
+        number_of = state.number_of
+        try:
+            return np.array([number_of[name] for name in names], dtype=np.int64)
+        except KeyError:
+            for name in names:
+                if name not in number_of:
+                    state.names.append(name)
+                    state.sightings.append([])
+                    number_of[name] = len(number_of)
+        room = self._slot_of.shape[0]
+        if len(number_of) > room:
+            more = np.full(max(room, len(number_of) - room), -1, dtype=np.int32)
+            self._slot_of = np.concatenate([self._slot_of, more])
+            self._last_seen = np.concatenate([self._last_seen, more])
+        return np.array([number_of[name] for name in names], dtype=np.int64)
+
+    def _lend_slots(self, submap: ActiveSubmap) -> None:
+        """Make the table from landmarks to slots speak of this sub-map."""
+        if self._slots_of is submap:
+            return
+        if self._slots_of is not None:
+            self._slot_of[self._slots_of.ids[: self._slots_of.landmark_count]] = -1
+        held = submap.landmark_count
+        self._slot_of[submap.ids[:held]] = 3 + 2 * np.arange(held, dtype=np.int32)
+        self._slots_of = submap
+
+    def _publish(self) -> None:
+        if not self._changed and self._state.submap_count == len(self._state.records):
+            return
+        active, robots = dict(self._state.active), dict(self._state.robots)
+        for name in sorted(self._changed):
+            r = self._robots[name]
+            if name in robots:
+                active.pop(robots[name].submap, None)
+            active[r.active.number] = r.active.snapshot(r.t or 0.0, self._invariant)
+            robots[name] = _robot_state(r)
+        self._changed.clear()
+        self._state = replace(
+            self._state, active=active, robots=robots, submap_count=len(self._state.records),
+            landmark_count=len(self._state.names),
+        )  # fmt: skip
+
+
+def _settings(config: MapConfig) -> tuple[Ints, Floats, Floats]:
+    observation = config.observation
+    x, y, theta = observation.mount
+    sine, cosine = sincos(theta)
+    gate = math.inf if config.gate is None else chi_square_bound(config.gate, 2)
+    flag = chi_square_bound(FLAG_PROBABILITY, 2)
+    invariant = config.filter == "invariant"
+    whole = [MODELS[observation.model], invariant, config.max_landmarks, config.min_observed_steps]
+    real = [x, y, cosine, sine, gate, flag, config.max_heading_sigma**2, config.max_position_sigma**2]
+    return np.array(whole, dtype=np.int64), np.array(real), np.diag(np.square(observation.sigma))[np.newaxis]
+
+
+def _one_each(covariance: Floats) -> Floats:
+    """One covariance for each observation; a single one would read as the model's for all."""
+    return covariance if covariance.shape[0] != 1 else np.repeat(covariance, 2, axis=0)
+
+
+def _robot_state(r: _Robot) -> RobotState:
+    counts = r.closed_counts + r.active.counts
+    x, y, theta = r.odom
+    return RobotState(
+        id=r.name, number=r.number, first=r.first, submap=r.active.number, t=r.t or 0.0,
+        steps=int(counts[columns.STEPS]), observations=int(counts[columns.OBSERVATIONS]),
+        rejected=int(counts[columns.REJECTED]), pose=r.active.pose,
+        odom=(float(x), float(y), float(theta)), odom_covariance=r.odom_covariance.copy(),
+    )  # fmt: skip
+
+
+def _set_aside(
+    batch: Batch, status: NDArray[np.uint8], nis: Floats
+) -> tuple[tuple[Rejection, ...], tuple[Rejection, ...]]:
+    rejected: list[Rejection] = []
+    flagged: list[Rejection] = []
+    for i in np.flatnonzero((status > kernel.USED) & (status < kernel.FIRST)):
+        step = int(batch.observation_step[i])
+        within = int(i - np.searchsorted(batch.observation_step, step))
+        value = float(nis[i]) if math.isfinite(nis[i]) else None
+        entry = Rejection(step, within, batch.landmark[i], _REASONS[int(status[i])], value)
+        (flagged if status[i] == kernel.FLAGGED else rejected).append(entry)
+    return tuple(rejected), tuple(flagged)

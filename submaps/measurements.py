@@ -1,0 +1,73 @@
+"""What goes into a map and what comes back: columns of one robot's measurements, and a report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Steps of one robot as columns, already validated.
+
+    ``t`` (n,) seconds; ``control`` (d, c) with ``control_step`` (c,) strictly rising;
+    ``z`` (2, m) with ``observation_step`` (m,) not falling and ``landmark`` m ids. Covariances
+    (c, d, d) and (m, 2, 2) stand where the client sent its own, and are ``None`` where the model's
+    sigma holds throughout.
+    """
+
+    t: Floats
+    control_step: Ints
+    control: Floats
+    control_covariance: Floats | None
+    observation_step: Ints
+    landmark: tuple[str, ...]
+    z: Floats
+    observation_covariance: Floats | None
+
+    @property
+    def steps(self) -> int:
+        """Number of steps."""
+        return int(self.t.shape[0])
+
+    @property
+    def observations(self) -> int:
+        """Number of observations."""
+        return int(self.observation_step.shape[0])
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """An observation that was not used (or, in ``flagged``, one that is used but unlikely).
+
+    ``observation`` counts within its step. ``nis`` is the normalised innovation squared, or
+    ``None`` where none could be formed.
+    """
+
+    step: int
+    observation: int
+    landmark: str
+    reason: str
+    nis: float | None
+
+
+@dataclass(frozen=True)
+class Report:
+    """What applying a batch did: the robot's pose after it, and what was set aside.
+
+    ``pose`` (x m, y m, theta rad) is in the frame of ``submap``; ``track_pose`` (n, 3) after each
+    step in the frame of ``track_submap`` (n,).
+    """
+
+    submap: int
+    t: float
+    pose: tuple[float, float, float]
+    rejected: tuple[Rejection, ...]
+    flagged: tuple[Rejection, ...]
+    track_submap: NDArray[np.int32]
+    track_pose: Floats

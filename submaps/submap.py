@@ -1,0 +1,177 @@
+"""One bounded sub-map: the arrays that a filter works on, and what is kept of them once closed."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from submaps._jit import jit
+from submaps.filtering import walk as columns
+from submaps.geometry.se2 import Pose, compose
+
+Floats = NDArray[np.float64]
+
+# A parked or slip-free vehicle leaves the pose without variance; a factor needs some.
+POSITION_FLOOR_M = 1e-4
+HEADING_FLOOR_RAD = 1e-5
+
+
+@jit("void(float64[:, ::1], int64, float64[::1])")
+def _pack(P: Floats, n: int, out: Floats) -> None:
+    k = 0
+    for i in range(n):
+        for j in range(i + 1):
+            out[k] = P[i, j]
+            k += 1
+
+
+@jit("float64[:, ::1](float64[::1], int64[::1])")
+def unpack(packed: Floats, rows: NDArray[np.int64]) -> Floats:
+    """(d, d) covariance of the state entries ``rows``, from the packed lower triangle."""
+    d = rows.shape[0]
+    out = np.empty((d, d))
+    for a in range(d):
+        for b in range(a + 1):
+            i, j = max(rows[a], rows[b]), min(rows[a], rows[b])
+            out[a, b] = packed[i * (i + 1) // 2 + j]
+            out[b, a] = out[a, b]
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Submap:
+    """What a sub-map says, at its close or at one moment of its life; never changed after.
+
+    ``mean`` is (x m, y m, theta rad, l_1x, l_1y, ...) in the sub-map's own frame: the pose at its
+    end, then its landmarks, of which ``landmarks`` holds the map's numbers. ``packed`` is the lower
+    triangle, row by row, of the covariance in the filter's own error (see ``filtering.kernel``).
+    """
+
+    number: int
+    robot: int
+    previous: int
+    following: int
+    began: float
+    ended: float
+    steps: int
+    observed_steps: int
+    observations: int
+    rejected: int
+    nis_sum: float
+    nis_count: int
+    invariant: bool
+    landmarks: NDArray[np.int32]
+    mean: Floats
+    packed: Floats
+
+    @property
+    def active(self) -> bool:
+        """Whether the robot was still in it."""
+        return self.following < 0
+
+    @property
+    def pose(self) -> Pose:
+        """The pose (x m, y m, theta rad) at its end, in its own frame."""
+        return float(self.mean[0]), float(self.mean[1]), float(self.mean[2])
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the estimate."""
+        return int(self.mean.nbytes + self.packed.nbytes + self.landmarks.nbytes)
+
+    @cached_property
+    def slot(self) -> dict[int, int]:
+        """Place of each landmark (by the map's number) in ``mean``."""
+        return {int(number): 3 + 2 * i for i, number in enumerate(self.landmarks)}
+
+    @cached_property
+    def digest(self) -> bytes:
+        """Digest of the estimate, over everything a solve reads."""
+        whole = np.array([self.number, self.robot, self.previous, self.following, self.invariant])
+        digest = hashlib.blake2b(whole.astype("<i8").tobytes(), digest_size=16)
+        for array in (self.landmarks.astype("<i4"), self.mean.astype("<f8"), self.packed.astype("<f8")):
+            digest.update(array.tobytes())
+        return digest.digest()
+
+    def covariance(self, rows: NDArray[np.int64] | None = None) -> Floats:
+        """Covariance (d, d) of the state entries ``rows`` (all of them by default)."""
+        every = np.arange(self.mean.shape[0], dtype=np.int64)
+        return unpack(self.packed, every if rows is None else rows)
+
+
+class ActiveSubmap:
+    """The arrays of a sub-map that a robot is in; ``filtering.walk`` changes them in place."""
+
+    def __init__(self, number: int, robot: int, previous: int, began: float, landmarks: int) -> None:
+        self.number = number
+        self.robot = robot
+        self.previous = previous
+        self.began = began
+        self.counts = np.zeros(columns.COUNTS, dtype=np.int64)
+        self.counts[columns.DIM] = 3
+        self.motion = np.zeros(columns.MOTION)
+        self._allocate(3 + 2 * landmarks)
+
+    def _allocate(self, dimension: int) -> None:
+        rows = -(-dimension // 8) * 8
+        raw = np.zeros(rows * rows + 8)
+        aligned = (-raw.ctypes.data // 8) % 8  # rows start on cache lines
+        self.P = raw[aligned : aligned + rows * rows].reshape(rows, rows)
+        self.x = np.zeros(rows)
+        self.ids = np.zeros(rows // 2, dtype=np.int64)
+        self.scratch = np.zeros((3, rows))
+
+    def grow(self, more: int) -> ActiveSubmap:
+        """Make room for ``more`` further landmarks; returns itself, its slots unchanged."""
+        n = self.dimension
+        x, P, ids = self.x, self.P, self.ids
+        self._allocate(n + 2 * more)
+        self.x[:n], self.P[:n, :n], self.ids[: ids.shape[0]] = x[:n], P[:n, :n], ids
+        return self
+
+    @property
+    def dimension(self) -> int:
+        """Entries of the state."""
+        return int(self.counts[columns.DIM])
+
+    @property
+    def pose(self) -> Pose:
+        """The robot's pose now (x m, y m, theta rad), in this sub-map's frame."""
+        x, d = self.x, self.motion
+        return compose((x[0], x[1], x[2]), (d[0], d[1], d[2]))
+
+    @property
+    def landmark_count(self) -> int:
+        """How many landmarks it holds."""
+        return (self.dimension - 3) // 2
+
+    def predict(self, invariant: bool) -> None:
+        """Take the pending increment into the state."""
+        if self.motion[: columns.NIS_SUM].any():
+            columns.flush(self.x, self.P, self.counts, self.motion, invariant, self.scratch)
+
+    def snapshot(self, ended: float, invariant: bool, following: int = -1) -> Submap:
+        """What it says now, with the pending increment taken in; its own arrays stay as they are.
+
+        A sub-map that closes (``following``) has its pose's variance raised by a floor.
+        """
+        n, counts, x, P, motion = self.dimension, self.counts, self.x, self.P, self.motion
+        if motion[: columns.NIS_SUM].any():
+            x, P, motion = x.copy(), P.copy(), motion.copy()
+            columns.flush(x, P, counts, motion, invariant, self.scratch)
+        packed = np.empty(n * (n + 1) // 2)
+        _pack(P, n, packed)
+        packed[[0, 2]] += POSITION_FLOOR_M**2
+        packed[5] += HEADING_FLOOR_RAD**2
+        return Submap(
+            number=self.number, robot=self.robot, previous=self.previous, following=following,
+            began=self.began, ended=ended, steps=int(counts[columns.STEPS]),
+            observed_steps=int(counts[columns.OBSERVED]), observations=int(counts[columns.OBSERVATIONS]),
+            rejected=int(counts[columns.REJECTED]), nis_sum=float(motion[columns.NIS_SUM]),
+            nis_count=int(motion[columns.NIS_COUNT]), invariant=invariant,
+            landmarks=self.ids[: self.landmark_count].astype(np.int32), mean=x[:n].copy(), packed=packed,
+        )  # fmt: skip
