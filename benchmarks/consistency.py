@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +26,11 @@ Floats = NDArray[np.float64]
 
 def configure(world: World, filter: FilterName, one_map: bool) -> MapConfig:
     """The world's own noise; one map is a sub-map without bounds."""
-    bounds = {"max_landmarks": 1000, "max_heading_sigma": 1e9, "max_position_sigma": 1e9} if one_map else {}
     sigma = (world.observation_sigma, world.observation_sigma)
-    return MapConfig(
-        MotionConfig("velocity", world.velocity_sigma), ObservationConfig("cartesian", sigma), filter, **bounds
-    )  # type: ignore[arg-type]
+    config = MapConfig(MotionConfig("velocity", world.velocity_sigma), ObservationConfig("cartesian", sigma), filter)
+    if one_map:
+        return replace(config, max_landmarks=1000, max_heading_sigma=1e9, max_position_sigma=1e9)
+    return config
 
 
 def final_pose(config: MapConfig, run: Run) -> tuple[PoseEstimate, int]:

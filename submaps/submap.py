@@ -103,6 +103,13 @@ class Submap:
         return unpack(self.packed, every if rows is None else rows)
 
 
+def _aligned(rows: int, columns: int) -> Floats:
+    """Zeros (rows, columns) that start on a cache line."""
+    raw = np.zeros(rows * columns + 8)
+    first = (-raw.ctypes.data // 8) % 8
+    return raw[first : first + rows * columns].reshape(rows, columns)
+
+
 class ActiveSubmap:
     """The arrays of a sub-map that a robot is in; ``filtering.walk`` changes them in place."""
 
@@ -118,12 +125,10 @@ class ActiveSubmap:
 
     def _allocate(self, dimension: int) -> None:
         rows = -(-dimension // 8) * 8
-        raw = np.zeros(rows * rows + 8)
-        aligned = (-raw.ctypes.data // 8) % 8  # rows start on cache lines
-        self.P = raw[aligned : aligned + rows * rows].reshape(rows, rows)
+        self.P = _aligned(rows, rows)
         self.x = np.zeros(rows)
         self.ids = np.zeros(rows // 2, dtype=np.int64)
-        self.scratch = np.zeros((3, rows))
+        self.scratch = _aligned(3, rows)
 
     def grow(self, more: int) -> ActiveSubmap:
         """Make room for ``more`` further landmarks; returns itself, its slots unchanged."""

@@ -55,7 +55,7 @@ def _cos_kernel(x: float) -> float:
     return w + (((1.0 - w) - half) + z * r)
 
 
-@jit()
+@jit("UniTuple(float64, 2)(float64)")
 def sincos(x: float) -> tuple[float, float]:
     """Sine and cosine of ``x`` (rad), good to an ulp for |x| < 1e5."""
     n = math.floor(x * _TWO_OVER_PI + 0.5)
@@ -115,7 +115,7 @@ def _atan_positive(x: float) -> float:
     return _ATAN_HI[part] - ((x * (odd + even) - _ATAN_LO[part]) - x)
 
 
-@jit()
+@jit("float64(float64, float64)")
 def arctan2(y: float, x: float) -> float:
     """Angle of the point (x, y) in (-pi, pi]; 0 at the origin."""
     if x == 0.0 and y == 0.0:
@@ -126,7 +126,7 @@ def arctan2(y: float, x: float) -> float:
     return angle if y >= 0.0 else -angle
 
 
-@jit()
+@jit("float64(float64)")
 def wrap(angle: float) -> float:
     """The same angle (rad) in [-pi, pi)."""
     if -PI <= angle < PI:
@@ -134,7 +134,7 @@ def wrap(angle: float) -> float:
     return angle - 2.0 * PI * math.floor((angle + PI) / (2.0 * PI))
 
 
-@jit()
+@jit("UniTuple(float64, 2)(float64)")
 def rotation_series(phi: float) -> tuple[float, float]:
     """(sin(phi)/phi, (1 - cos(phi))/phi), the entries of V(phi), finite at zero.
 
