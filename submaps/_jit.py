@@ -1,8 +1,8 @@
 """The one door to Numba: strict arithmetic, compiled at import, cached by a digest of the sources.
 
 Numba notices an edited function only in the file that it compiles, not in the files it calls. The
-cache folder is therefore named by a digest of every source of this package: an edit anywhere
-starts a fresh one. The folder lies below ``SUBMAPS_CACHE_DIR``, else the user's cache folder, else
+cache folder is therefore named by a digest of every source that holds compiled functions: an edit
+in any of them starts a fresh one. The folder lies below ``SUBMAPS_CACHE_DIR``, else the user's cache folder, else
 the system's temporary folder, whichever is writable first.
 """
 
@@ -26,8 +26,9 @@ _PACKAGE = Path(__file__).parent
 def _source_digest() -> str:
     digest = hashlib.blake2b(f"{numba.__version__}".encode(), digest_size=12)
     for path in sorted(_PACKAGE.rglob("*.py")):
-        digest.update(path.relative_to(_PACKAGE).as_posix().encode())
-        digest.update(path.read_bytes())
+        source = path.read_bytes()
+        if b"import jit" in source:
+            digest.update(path.relative_to(_PACKAGE).as_posix().encode() + source)
     return digest.hexdigest()
 
 

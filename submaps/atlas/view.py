@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import threading
 from collections.abc import Iterator, Sequence
@@ -122,8 +123,7 @@ class View:
     def _front(self, submap: Submap) -> Front:
         """What the solution and the sub-maps since say of this sub-map's frame and landmarks."""
         solution = self.state.solution
-        since: list[Submap] = []
-        at = submap
+        at, since = submap, [submap]
         while at.previous >= 0 and (solution is None or at.number >= solution.base.submap_count):
             at = self.state.submap(at.previous)
             since.append(at)
@@ -131,7 +131,7 @@ class View:
             front = Front.first()
         else:
             front = Front.of_solution(solution.placed(at.number), fixed=at.previous < 0)
-        for before, after in zip(since[::-1], [*since[-2::-1], submap], strict=True):
+        for before, after in itertools.pairwise(reversed(since)):
             front = advance(front, before, after)
         return front
 
