@@ -135,7 +135,8 @@ def condition(front: Front, submap: Submap, following: Submap | None = None) -> 
         if float(np.abs(step).max(initial=0.0)) < _CONVERGED:
             break
     covariance = np.zeros_like(H)
-    covariance[np.ix_(free, free)] = np.linalg.inv(H[np.ix_(free, free)])
+    inverse = np.linalg.inv(H[np.ix_(free, free)])
+    covariance[np.ix_(free, free)] = 0.5 * (inverse + inverse.T)
     points = values[6:].reshape(-1, 2)
     placed = Placed(
         submap, as_pose(values[:3]), as_pose(values[3:6]), shared, np.ascontiguousarray(points[place]),

@@ -18,14 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps.alignment import align
-from submaps.atlas.placed import additive_covariance, as_pose, rotation
+from submaps.atlas.placed import additive_covariance, as_pose
 from submaps.atlas.state import AtlasState
-from submaps.errors import NotConnected
+from submaps.atlas.tie import fit
+from submaps.errors import NotConnected, NumericalError
 from submaps.geometry.se2 import ORIGIN, Pose, compose, compose_covariance, inverse, inverse_covariance
+from submaps.submap import Submap
 
 Floats = NDArray[np.float64]
 Kind = Literal["exit", "tie"]
-_J = np.array([[0.0, -1.0], [1.0, 0.0]])
+Pair = tuple[Kind, int, int]
 # Lets a path of edges without variance still cost something for each edge: (1e-4 m)^4 (1e-5 rad)^2.
 _FLOOR = np.diag([1e-8, 1e-8, 1e-10])
 
@@ -42,27 +44,33 @@ class Edge:
 
 
 class Graph:
-    """The graph of one state; edges are computed when asked for."""
+    """The graph of one state; edges are computed when asked for, those of closed sub-maps once."""
 
     def __init__(self, state: AtlasState) -> None:
         self._state = state
-        self._pairs: list[tuple[Kind, int, int]] | None = None
-        self._near: dict[int, list[tuple[Kind, int, int]]] = {}
-        self._edges: dict[tuple[Kind, int, int], Edge] = {}
+        self._first_active = min(state.active, default=state.submap_count)
+        self._pairs: list[Pair] | None = None
+        self._near: dict[int, list[Pair]] = {}
+        self._own: dict[Pair, Edge] = {}
+        self._settled: dict[Pair, Edge] = state.settled.setdefault("edges", {})  # type: ignore[assignment]
+        self._settled_older: dict[int, list[Pair]] = state.settled.setdefault("older", {})  # type: ignore[assignment]
 
-    def pairs(self) -> list[tuple[Kind, int, int]]:
+    def pairs(self) -> list[Pair]:
         """(kind, a, b) of every edge, by the younger of its two sub-maps."""
         if self._pairs is None:
             self._pairs = list(itertools.chain.from_iterable(self._older(k) for k in range(self._state.submap_count)))
         return self._pairs
 
-    def _older(self, number: int) -> list[tuple[Kind, int, int]]:
+    def _older(self, number: int) -> list[Pair]:
         """Edges from a sub-map to older ones: its exit edge, then its ties."""
+        if number in self._settled_older:
+            return self._settled_older[number]
         submap = self._state.submap(number)
-        found: list[tuple[Kind, int, int]] = []
-        if submap.previous >= 0:
-            found.append(("exit", submap.previous, number))
-        return found + [("tie", k, number) for k in self._tied(number) if k < number]
+        found: list[Pair] = [("exit", submap.previous, number)] if submap.previous >= 0 else []
+        found += [("tie", k, number) for k in self._tied(number) if k < number]
+        if number < self._first_active:
+            self._settled_older[number] = found
+        return found
 
     def _tied(self, number: int) -> list[int]:
         """Sub-maps of the same robot that hold at least two landmarks in common with this one."""
@@ -75,11 +83,11 @@ class Graph:
         same = (k for k, n in common.items() if n >= 2 and k != number and state.submap(k).robot == submap.robot)
         return sorted(same)
 
-    def neighbours(self, number: int) -> list[tuple[Kind, int, int]]:
+    def neighbours(self, number: int) -> list[Pair]:
         """Every edge of a sub-map."""
         if number not in self._near:
             submap = self._state.submap(number)
-            found: list[tuple[Kind, int, int]] = [("tie", min(k, number), max(k, number)) for k in self._tied(number)]
+            found: list[Pair] = [("tie", min(k, number), max(k, number)) for k in self._tied(number)]
             if submap.previous >= 0:
                 found.append(("exit", submap.previous, number))
             if not submap.active:
@@ -90,39 +98,28 @@ class Graph:
     def edge(self, kind: Kind, a: int, b: int) -> Edge:
         """The edge's transform and covariance."""
         key = (kind, a, b)
-        if key not in self._edges:
-            if kind == "exit":
-                submap = self._state.submap(a)
-                self._edges[key] = Edge(kind, a, b, submap.pose, additive_covariance(submap, [], with_pose=True))
-            else:
-                self._edges[key] = self._tie(a, b)
-        return self._edges[key]
-
-    def _tie(self, a: int, b: int) -> Edge:
-        """T_a_b = argmin r^T C^-1 r, r_i = l_i^a - T l_i^b, C = C_a + R C_b R^T; covariance (J^T C^-1 J)^-1."""
         first, second = self._state.submap(a), self._state.submap(b)
+        known = self._own if first.active or second.active else self._settled
+        if key not in known:
+            if kind == "tie":
+                known[key] = self._tie(first, second)
+            else:
+                known[key] = Edge(kind, a, b, first.pose, additive_covariance(first, [], with_pose=True))
+        return known[key]
+
+    def _tie(self, first: Submap, second: Submap) -> Edge:
+        """The tie of two sub-maps with common landmarks (see ``atlas.tie``)."""
         common = [i for i in first.slot if i in second.slot]
         slots_a, slots_b = [first.slot[i] for i in common], [second.slot[i] for i in common]
         A = np.array([first.mean[k : k + 2] for k in slots_a])
         B = np.array([second.mean[k : k + 2] for k in slots_b])
-        cov_a, cov_b = additive_covariance(first, slots_a), additive_covariance(second, slots_b)
         start = align(B, A)
-        T = np.array([start.x, start.y, start.theta])
-        for _ in range(10):
-            R = rotation(T[2])
-            turn = np.kron(np.eye(len(common)), R)
-            C = cov_a + turn @ cov_b @ turn.T
-            r = (A - T[:2] - B @ R.T).ravel()
-            J = np.zeros((r.shape[0], 3))
-            J[0::2, 0], J[1::2, 1] = 1.0, 1.0
-            J[:, 2] = (B @ R.T @ _J.T).ravel()
-            weighted = np.linalg.solve(C, np.column_stack([J, r]))
-            H = J.T @ weighted[:, :3]
-            step = np.linalg.solve(H, J.T @ weighted[:, 3])
-            T += step
-            if float(np.abs(step).max()) < 1e-10:
-                break
-        return Edge("tie", a, b, as_pose(T), np.linalg.inv(H))
+        T, covariance = np.array([start.x, start.y, start.theta]), np.empty((3, 3))
+        if not fit(A, B, additive_covariance(first, slots_a), additive_covariance(second, slots_b), T, covariance):
+            raise NumericalError(
+                f"tie of sub-maps {first.number} and {second.number}: covariance not positive definite"
+            )
+        return Edge("tie", first.number, second.number, as_pose(T), covariance)
 
     def path(self, source: int, target: int) -> tuple[Pose, Floats, list[int]]:
         """T_source_target along the surest path, its covariance, and the path.

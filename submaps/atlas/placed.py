@@ -33,7 +33,6 @@ def additive_covariance(submap: Submap, slots: list[int], with_pose: bool = Fals
 
     From the right-invariant error: dp = xi_p + J p xi_theta, dtheta = xi_theta, dl = xi_l + J l xi_theta.
     """
-    points = [0, *slots] if with_pose else slots
     rows = np.array([0, 1, 2, *(r for k in slots for r in (k, k + 1))], dtype=np.int64)
     P = submap.covariance(rows)
     A = np.eye(rows.shape[0])
@@ -43,7 +42,8 @@ def additive_covariance(submap: Submap, slots: list[int], with_pose: bool = Fals
             A[at, 2] -= submap.mean[k + 1]
             A[at + 1, 2] += submap.mean[k]
     whole = A @ P @ A.T
-    return whole if len(points) > len(slots) else whole[3:, 3:]
+    whole = 0.5 * (whole + whole.T)
+    return whole if with_pose else np.ascontiguousarray(whole[3:, 3:])
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,8 @@ class AtlasState:
     """Closed sub-maps (shared, append-only lists), active ones as copied, robots, last solution.
 
     The shared lists may grow after this state was taken; the counts say how much of them is part
-    of it. ``sightings[i]`` names the closed sub-maps that hold landmark i, in order of closing.
+    of it. ``sightings[i]`` names the closed sub-maps that hold landmark i, in order of closing;
+    ``settled`` is the graph's memory of what follows from closed sub-maps alone.
     """
 
     config: MapConfig
@@ -57,7 +58,8 @@ class AtlasState:
     robots: dict[str, RobotState]
     closed_bytes: int
     version: int
-    solution: Solution | None = field(default=None)
+    solution: Solution | None = None
+    settled: dict[object, object] = field(default_factory=dict)
 
     @classmethod
     def empty(cls, config: MapConfig) -> AtlasState:

@@ -85,10 +85,10 @@ def _wants_genesis(new: int, x: Floats, P: Floats, counts: Ints, motion: Floats,
     held = int(counts[DIM] - 3) // 2
     if held == 0 and counts[OBSERVED] == 0:
         return False
-    full = held + new > int(whole[MAX_LANDMARKS])
+    full = new > 0 and held + new > int(whole[MAX_LANDMARKS])
     if motion[0] == 0.0 and motion[1] == 0.0 and motion[2] == 0.0:
         # A robot that stands still begins no sub-map, but a state must stay bounded.
-        return held + new > 2 * int(whole[MAX_LANDMARKS])
+        return new > 0 and held + new > 2 * int(whole[MAX_LANDMARKS])
     if full or counts[OBSERVED] < whole[MIN_OBSERVED]:
         return full
     heading = float(P[2, 2] + motion[NOISE + 8])
