@@ -55,7 +55,8 @@ def measure(name: str) -> None:
     def again() -> object:
         return splu(whole, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
 
-    print(f"  SuperLU first {best(again):7.2f} ms  again (no reuse)     solve {best(lambda: theirs.solve(right)):6.3f} ms")
+    print(f"  SuperLU first {best(again):7.2f} ms  again (no reuse)     ", end="")
+    print(f"solve {best(lambda: theirs.solve(right)):6.3f} ms")
     subset, dense = best(ours.inverse_subset), best(lambda: np.linalg.inv(whole.toarray()), 3)
     print(f"  inverse subset {subset:.2f} ms, dense inverse {dense:.2f} ms")
 

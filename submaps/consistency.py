@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 Floats = NDArray[np.float64]
 
 
 def chi_square_bound(probability: float, dof: int) -> float:
-    """The value that a chi-square variable of ``dof`` degrees of freedom stays below so often."""
-    return float(chi2.ppf(probability, dof))
+    """The value that a chi-square variable of ``dof`` degrees of freedom stays below so often.
+
+    Kept to twelve digits, so that a gate does not depend on the library that computed it.
+    """
+    return float(f"{2.0 * gammaincinv(0.5 * dof, probability):.12g}")
 
 
 def nees(error: Floats, covariance: Floats) -> float:
@@ -27,4 +30,4 @@ def average_bounds(probability: float, dof: int, runs: int) -> tuple[float, floa
     """Bounds of the mean of ``runs`` NEES values, per degree of freedom, for a consistent filter."""
     tail = 0.5 * (1.0 - probability)
     total = dof * runs
-    return float(chi2.ppf(tail, total) / total), float(chi2.ppf(1.0 - tail, total) / total)
+    return chi_square_bound(tail, total) / total, chi_square_bound(1.0 - tail, total) / total

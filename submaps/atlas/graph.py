@@ -17,7 +17,6 @@ import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
-from submaps.alignment import align
 from submaps.atlas.placed import additive_covariance, as_pose
 from submaps.atlas.state import AtlasState
 from submaps.atlas.tie import fit
@@ -113,8 +112,7 @@ class Graph:
         slots_a, slots_b = [first.slot[i] for i in common], [second.slot[i] for i in common]
         A = np.array([first.mean[k : k + 2] for k in slots_a])
         B = np.array([second.mean[k : k + 2] for k in slots_b])
-        start = align(B, A)
-        T, covariance = np.array([start.x, start.y, start.theta]), np.empty((3, 3))
+        T, covariance = np.empty(3), np.empty((3, 3))
         if not fit(A, B, additive_covariance(first, slots_a), additive_covariance(second, slots_b), T, covariance):
             raise NumericalError(
                 f"tie of sub-maps {first.number} and {second.number}: covariance not positive definite"

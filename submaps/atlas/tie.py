@@ -7,16 +7,31 @@ from numpy.typing import NDArray
 
 from submaps._jit import jit
 from submaps.atlas.factors import cholesky, information
-from submaps.geometry.trig import sincos, wrap
+from submaps.geometry.trig import arctan2, sincos, wrap
 
 Floats = NDArray[np.float64]
 _ITERATIONS = 10
 _CONVERGED = 1e-10
 
 
+@jit()
+def _start(A: Floats, B: Floats, T: Floats) -> None:
+    """The rigid transform that takes B onto A best with equal weights, in closed form (Umeyama 1991)."""
+    n = A.shape[0]
+    a0 = a1 = b0 = b1 = cross = dot = 0.0
+    for i in range(n):
+        a0, a1, b0, b1 = a0 + A[i, 0] / n, a1 + A[i, 1] / n, b0 + B[i, 0] / n, b1 + B[i, 1] / n
+    for i in range(n):
+        cross += (B[i, 0] - b0) * (A[i, 1] - a1) - (B[i, 1] - b1) * (A[i, 0] - a0)
+        dot += (B[i, 0] - b0) * (A[i, 0] - a0) + (B[i, 1] - b1) * (A[i, 1] - a1)
+    T[2] = arctan2(cross, dot)
+    s, c = sincos(T[2])
+    T[0], T[1] = a0 - c * b0 + s * b1, a1 - s * b0 - c * b1
+
+
 @jit("boolean(float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[::1], float64[:, ::1])")
 def fit(A: Floats, B: Floats, cov_a: Floats, cov_b: Floats, T: Floats, covariance: Floats) -> bool:
-    """T_a_b (x m, y m, theta rad) = argmin r^T C^-1 r, in place, and its (3, 3) covariance.
+    """T_a_b (x m, y m, theta rad) = argmin r^T C^-1 r and its (3, 3) covariance, written in place.
 
     r_i = a_i - T b_i for points A, B (n, 2) with covariances (2n, 2n); C = C_a + R C_b R^T, and the
     covariance is (J^T C^-1 J)^-1. False where C is not positive definite.
@@ -26,6 +41,7 @@ def fit(A: Floats, B: Floats, cov_a: Floats, cov_b: Floats, T: Floats, covarianc
     whitened = np.empty((2 * n, 4))  # L^-1 [J, r]
     H = np.empty((3, 3))
     g = np.empty(3)
+    _start(A, B, T)
     for _ in range(_ITERATIONS):
         s, c = sincos(T[2])
         for i in range(n):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from typing import get_args
 
 import numpy as np
 from numba.core.dispatcher import Dispatcher
@@ -11,6 +12,7 @@ from numba.core.dispatcher import Dispatcher
 import submaps
 from benchmarks.consistency import configure
 from submaps.atlas.joining import join
+from submaps.config import FilterName
 from submaps.mapper import Mapper
 from submaps.simulation import circle, drive
 
@@ -29,8 +31,8 @@ def test_nothing_is_compiled_after_import() -> None:
     world = circle(laps=1.05)
     before = compiled()
     for one_map in (False, True):
-        for filter in ("invariant", "standard"):
-            mapper = Mapper(configure(world, filter, one_map))  # type: ignore[arg-type]
+        for filter in get_args(FilterName):
+            mapper = Mapper(configure(world, filter, one_map))
             mapper.apply("robot", drive(world, np.random.default_rng(1)).batch)
             mapper.view().pose("robot")
             mapper.install(join(mapper.problem()))

@@ -1,0 +1,1 @@
+"""Measurements against the budgets of the design, one script each: python -m benchmarks.NAME."""

@@ -1,0 +1,1 @@
+"""What leaves a map for people and for other tools."""

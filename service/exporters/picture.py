@@ -1,0 +1,130 @@
+"""A picture of a map: trajectories, the frames of the sub-maps, landmarks with their uncertainty."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from service.exporters.atlas import Atlas, Track
+
+Floats = NDArray[np.float64]
+
+INK, FAINT, PAPER = "#22303c", "#8a97a3", "#fbfbf9"
+TREE = "#1b7f4b"
+FORWARD, LEFT = "#c8372d", "#2f6fb3"  # a frame's x and y axes
+# Neighbouring sub-maps differ in hue; none is that of a landmark.
+SUBMAPS = ("#e0912f", "#7a5ea8", "#3b8fb5", "#c25b86", "#8c7a3d", "#5b6bb8")
+_WIDTH, _DPI = 10.0, 160
+
+
+def draw(atlas: Atlas, path: Path) -> None:
+    """Write the picture as the file's suffix says (PNG, SVG, PDF); raises ``OSError``, ``ValueError``."""
+    low, high = _extent(atlas)
+    span = np.maximum(high - low, 1.0)
+    height = float(np.clip(_WIDTH * span[1] / span[0], 5.0, 13.0))
+    figure = Figure(figsize=(_WIDTH, height + 1.3), dpi=_DPI, facecolor=PAPER, layout="constrained")
+    axes = figure.add_subplot()
+    reach = float(span.max())
+    for track in atlas.tracks:
+        _draw_track(axes, track)
+    crowd = np.clip(100.0 / max(len(atlas.frames), 1), 0.6, 1.0)  # many frames: shorter strokes
+    _draw_frames(axes, atlas.frames, 0.016 * reach * float(crowd))
+    _draw_landmarks(axes, atlas)
+    _dress(axes, atlas, low, high)
+    figure.savefig(path)
+
+
+def ellipses(covariances: Floats, sigmas: float) -> tuple[Floats, Floats, Floats]:
+    """Full widths, full heights (m) and turns (degrees) of the ellipses of (n, 2, 2) covariances."""
+    values, vectors = np.linalg.eigh(covariances)
+    axes = 2.0 * sigmas * np.sqrt(np.maximum(values, 0.0))
+    return axes[:, 1], axes[:, 0], np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
+
+
+def _extent(atlas: Atlas) -> tuple[Floats, Floats]:
+    points = np.vstack([atlas.landmarks, atlas.frames[:, :2], *(track.pose[:, :2] for track in atlas.tracks)])
+    if not points.size:
+        return np.array([-1.0, -1.0]), np.array([1.0, 1.0])
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.04 * float(np.max(high - low)) + 1.0
+    return low - margin, high + margin
+
+
+def _draw_track(axes: Axes, track: Track) -> None:
+    if len(track.pose) < 2:
+        return
+    points = track.pose[:, :2]
+    pieces = np.stack([points[:-1], points[1:]], axis=1)
+    hues = [SUBMAPS[k % len(SUBMAPS)] for k in track.submap[1:].tolist()]
+    axes.add_collection(LineCollection(list(pieces), colors=hues, linewidths=1.3, zorder=2))
+    axes.plot(*points[0], marker="o", ms=7, mfc=PAPER, mec=INK, mew=1.6, zorder=6)
+    axes.plot(*points[-1], marker="s", ms=7, mfc=INK, mec=PAPER, mew=1.2, zorder=6)
+
+
+def _draw_frames(axes: Axes, frames: Floats, length: float) -> None:
+    for turn, hue in ((0.0, FORWARD), (np.pi / 2, LEFT)):
+        angle = frames[:, 2] + turn
+        tips = frames[:, :2] + length * np.column_stack([np.cos(angle), np.sin(angle)])
+        strokes = np.stack([frames[:, :2], tips], axis=1)
+        axes.add_collection(LineCollection(list(strokes), colors=hue, linewidths=0.9, zorder=3))
+
+
+def _draw_landmarks(axes: Axes, atlas: Atlas) -> None:
+    if not len(atlas.landmarks):
+        return
+    widths, heights, turns = ellipses(atlas.covariances, 2.0)
+    shapes = EllipseCollection(
+        widths, heights, turns, units="xy", offsets=atlas.landmarks, offset_transform=axes.transData, zorder=1
+    )
+    shapes.set(facecolor=TREE + "40", edgecolor=TREE, linewidth=0.9)
+    axes.add_collection(shapes)
+    axes.plot(*atlas.landmarks.T, linestyle="", marker="o", ms=1.8, mew=0, color=TREE, zorder=5)
+
+
+def _dress(axes: Axes, atlas: Atlas, low: Floats, high: Floats) -> None:
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", facecolor=PAPER)
+    axes.set_xlabel("x (m)", color=INK)
+    axes.set_ylabel("y (m)", color=INK)
+    axes.grid(color=INK, alpha=0.07, linewidth=0.7)
+    axes.tick_params(colors=FAINT, labelcolor=INK, length=3)
+    for side in axes.spines.values():
+        side.set(color=FAINT, alpha=0.5)
+    counts = atlas.counts
+    told = [f"{counts[name]:,} {name}" for name in ("steps", "observations", "landmarks")]
+    told.append(f"{counts['submaps']:,} sub-maps")
+    if atlas.unconnected:
+        told.append(f"not connected yet: {', '.join(atlas.unconnected)}")
+    axes.set_title(atlas.name, loc="left", color=INK, fontsize=15, fontweight="bold", pad=26)
+    axes.text(0.0, 1.012, "   ".join(told), transform=axes.transAxes, color=FAINT, fontsize=9.5, va="bottom")
+    _legend(axes, atlas)
+
+
+def _legend(axes: Axes, atlas: Atlas) -> None:
+    size = ""
+    if len(atlas.landmarks):
+        size = f" (median half-axis {np.median(ellipses(atlas.covariances, 2.0)[0]) / 2:.2g} m)"
+    entries = [
+        Line2D([], [], color=SUBMAPS[0], lw=1.6, label="trajectory, one hue a sub-map"),
+        Line2D([], [], color=FORWARD, lw=1.6, label="sub-map frame: x"),
+        Line2D([], [], color=LEFT, lw=1.6, label="sub-map frame: y"),
+        Line2D(
+            [], [], ls="", marker="o", ms=9, mfc=TREE + "38", mec=TREE, mew=0.9, label=f"landmark, 2σ ellipse{size}"
+        ),
+        Line2D([], [], ls="", marker="o", ms=6, mfc=PAPER, mec=INK, mew=1.5, label="first pose"),
+        Line2D([], [], ls="", marker="s", ms=6, mfc=INK, mec=PAPER, label="last pose"),
+    ]
+    axes.legend(
+        handles=entries,
+        loc="upper center",
+        bbox_to_anchor=(0.5, -0.06),
+        ncols=3,
+        frameon=False,
+        fontsize=9,
+        labelcolor=INK,
+    )

@@ -1,0 +1,41 @@
+"""Pictures of a map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.exporters.atlas import Atlas, Track
+from service.exporters.picture import draw, ellipses
+
+
+def test_an_ellipse_holds_the_points_at_its_mahalanobis_distance() -> None:
+    turn = 0.4
+    axes = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    covariance = axes @ np.diag([9.0, 1.0]) @ axes.T
+    width, height, degrees = ellipses(covariance[None], 2.0)
+    assert width[0] == pytest.approx(12.0)
+    assert height[0] == pytest.approx(4.0)
+    assert np.tan(np.radians(degrees[0])) == pytest.approx(np.tan(turn))
+    tip = 0.5 * width[0] * np.array([np.cos(np.radians(degrees[0])), np.sin(np.radians(degrees[0]))])
+    assert tip @ np.linalg.solve(covariance, tip) == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize("poses", [0, 1, 30])
+def test_maps_of_any_size_are_drawn(poses: int, tmp_path: Path) -> None:
+    track = Track("r1", np.cumsum(np.ones((poses, 3)), axis=0), np.arange(poses) // 10)
+    marks = min(poses, 5)
+    atlas = Atlas(
+        name="any",
+        counts={"steps": poses, "observations": 0, "landmarks": marks, "submaps": 1},
+        tracks=[track],
+        frames=np.zeros((min(poses, 1), 3)),
+        landmarks=3.0 * np.ones((marks, 2)),
+        covariances=np.tile(np.eye(2), (marks, 1, 1)),
+        unconnected=["r2"],
+    )
+    path = tmp_path / "map.png"
+    draw(atlas, path)
+    assert path.stat().st_size > 10_000
