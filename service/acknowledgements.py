@@ -1,0 +1,56 @@
+"""The acknowledgement of a batch, and what is kept along with it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import orjson
+
+from service.store.base import BatchEvent, Derived
+from service.store.encoding import encode_track
+from submaps.measurements import Batch, Rejection, Report
+
+
+def derive(event: BatchEvent, batch: Batch, report: Report, version: int) -> Derived:
+    """Return what the journal keeps of a batch that was applied: acknowledgement and track."""
+    return Derived(
+        map=event.map,
+        robot=event.robot,
+        sequence=event.sequence,
+        began=float(batch.t[0]),
+        ended=float(batch.t[-1]),
+        acknowledgement=_acknowledgement(event.sequence, batch, report, version),
+        track=encode_track(batch.t, report),
+    )
+
+
+def as_duplicate(acknowledgement: bytes) -> bytes:
+    """Return an acknowledgement as a repeat of the batch gets it."""
+    return orjson.dumps(orjson.loads(acknowledgement) | {"duplicate": True})
+
+
+def _acknowledgement(sequence: int, batch: Batch, report: Report, version: int) -> bytes:
+    x, y, theta = report.pose
+    return orjson.dumps({
+        "sequence": sequence,
+        "steps": batch.steps,
+        "observations": batch.observations,
+        "rejected": [_set_aside(r) for r in report.rejected],
+        "flagged": [_set_aside(r) for r in report.flagged],
+        "submap": report.submap,
+        "map_version": version,
+        "duplicate": False,
+        "pose": {
+            "frame": f"submap/{report.submap}", "t": report.t, "x": x, "y": y, "theta": theta,
+        },
+    })  # fmt: skip
+
+
+def _set_aside(rejection: Rejection) -> dict[str, Any]:
+    return {
+        "step": rejection.step,
+        "observation": rejection.observation,
+        "landmark": rejection.landmark,
+        "reason": rejection.reason,
+        "nis": rejection.nis,
+    }

@@ -1,0 +1,1 @@
+"""Routes: translation between HTTP and the engine, nothing else."""

@@ -1,0 +1,132 @@
+"""Robots: where they are, and where they have been."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Request, Response
+from fastapi import Query as QueryParameters
+from fastapi.responses import StreamingResponse
+from pydantic import Field
+
+from service.api import tracks
+from service.api.common import (
+    FRAME,
+    MapId,
+    Page,
+    Query,
+    RobotId,
+    cursor_of,
+    engine_of,
+    hosted_map,
+    json_answer,
+    pose,
+    position_of,
+    problems,
+)
+from service.problems import invalid, not_found
+from service.wire.answers import PoseAnswer, RobotAnswer, RobotList, Trajectory
+from submaps.atlas.state import RobotState
+from submaps.atlas.view import View
+
+router = APIRouter(prefix="/v1/maps/{map}/robots", tags=["robots"])
+
+
+class PoseQuery(Query):
+    """In which frame."""
+
+    frame: str = Field("map", pattern=FRAME, description="`map`, `odom` or `submap/{k}`")
+
+
+class TrajectoryQuery(PoseQuery):
+    """Which trajectory, of which span, in which form."""
+
+    kind: Literal["filtered", "smoothed"] = Field("filtered", description="`smoothed` is not supported yet")
+    from_: float | None = Field(None, alias="from", description="s")
+    to: float | None = Field(None, description="s")
+    format: Literal["json", "tum"] = Field("json", description="JSON, or lines `t x y z qx qy qz qw`")
+
+
+@router.get("", response_model=RobotList, summary="List robots", responses=problems(404, 422))
+def list_robots(request: Request, map_: MapId, page: Annotated[Page, QueryParameters()]) -> Response:
+    """List the robots of a map, in the order of their first batches."""
+    robots = hosted_map(request, map_).view.robots()
+    start = position_of("robots", page.cursor)
+    end = start + page.limit
+    following = end if end < len(robots) else None
+    return json_answer({
+        "robots": [_answer(one) for one in robots[start:end]],
+        "next": cursor_of("robots", following),
+    })  # fmt: skip
+
+
+@router.get("/{robot}", response_model=RobotAnswer, summary="Show a robot", responses=problems(404))
+def show_robot(request: Request, map_: MapId, robot: RobotId) -> Response:
+    """Show a robot, as of its last batch."""
+    return json_answer(_answer(_find(hosted_map(request, map_).view, robot)))
+
+
+@router.get(
+    "/{robot}/pose", response_model=PoseAnswer, response_model_exclude_none=True,
+    summary="Where a robot is", responses=problems(404, 409, 422),
+)  # fmt: skip
+def show_pose(
+    request: Request, map_: MapId, robot: RobotId, query: Annotated[PoseQuery, QueryParameters()]
+) -> Response:
+    """Return a robot's pose with its covariance; 409 where no path of ties leads to the frame."""
+    view = hosted_map(request, map_).view
+    found = view.pose(robot, query.frame)
+    answer: dict[str, Any] = {
+        "frame": found.frame,
+        "t": found.t,
+        "x": found.x,
+        "y": found.y,
+        "theta": found.theta,
+        "covariance": found.covariance,
+        "covariance_kind": found.kind,
+        "submap": found.submap,
+        "map_version": view.version,
+    }
+    if found.map_T_odom is not None:
+        answer["map_T_odom"] = pose(found.map_T_odom)
+    return json_answer(answer)
+
+
+@router.get(
+    "/{robot}/trajectory", response_model=Trajectory, summary="Where a robot has been",
+    responses=problems(404, 409, 422) | {200: {"content": {"text/plain": {
+        "example": "0.1 12.5 -3.25 0 0 0 0.247404 0.968912\n",
+    }}}},
+)  # fmt: skip
+def show_trajectory(
+    request: Request, map_: MapId, robot: RobotId, query: Annotated[TrajectoryQuery, QueryParameters()]
+) -> Response:
+    """Stream the poses after each step, as filtered then, with sub-maps where they are now."""
+    if query.kind == "smoothed":
+        raise invalid("kind", "got 'smoothed', expected 'filtered' (smoothing comes with refinement)")
+    hosted = hosted_map(request, map_)
+    _find(hosted.view, robot)
+    span = (-float("inf") if query.from_ is None else query.from_, float("inf") if query.to is None else query.to)
+    stream = tracks.poses(engine_of(request).journal, hosted, robot, query.frame, span)
+    if query.format == "tum":
+        return StreamingResponse(tracks.as_tum(stream), media_type="text/plain")
+    return StreamingResponse(tracks.as_json(stream, robot, query.frame), media_type="application/json")
+
+
+def _find(view: View, robot: str) -> RobotState:
+    for one in view.robots():
+        if one.id == robot:
+            return one
+    raise not_found("robot", robot)
+
+
+def _answer(robot: RobotState) -> dict[str, Any]:
+    return {
+        "id": robot.id,
+        "submap": robot.submap,
+        "t": robot.t,
+        "steps": robot.steps,
+        "observations": robot.observations,
+        "rejected": robot.rejected,
+        "pose": {"frame": f"submap/{robot.submap}", **pose(robot.pose)},
+    }

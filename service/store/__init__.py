@@ -1,0 +1,1 @@
+"""Where events are kept: the journal's contract, its encoding and its stores."""

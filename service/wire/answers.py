@@ -1,0 +1,235 @@
+"""Answers about robots, landmarks, sub-maps and the graph."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from service.wire.base import Wire, example
+
+Covariance = list[list[float]]
+
+
+_POSE = {"x": 12.5, "y": -3.25, "theta": 0.5}
+_COVARIANCE3 = [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 1e-4]]
+_COVARIANCE2 = [[0.04, 0.0], [0.0, 0.04]]
+
+
+class Pose(Wire):
+    """A pose, or the transform that takes coordinates in one frame to another."""
+
+    x: float = Field(description="m")
+    y: float = Field(description="m")
+    theta: float = Field(description="rad, counter-clockwise")
+
+
+_ROBOT = {
+    "id": "r1", "submap": 3, "t": 694.2, "steps": 6942, "observations": 3640, "rejected": 0,
+    "pose": {"frame": "submap/3", **_POSE},
+}  # fmt: skip
+
+
+class RobotAnswer(Wire):
+    """A robot."""
+
+    model_config = example(**_ROBOT)
+
+    class SubmapPose(Pose):
+        """A pose in a sub-map's frame."""
+
+        frame: str
+
+    id: str
+    submap: int = Field(description="its active sub-map")
+    t: float = Field(description="time of its last step, s")
+    steps: int
+    observations: int
+    rejected: int
+    pose: SubmapPose
+
+
+class RobotList(Wire):
+    """A page of a map's robots, in the order of their first batches."""
+
+    model_config = example(robots=[_ROBOT], next=None)
+
+    robots: list[RobotAnswer]
+    next: str | None
+
+
+class PoseAnswer(Pose):
+    """Where a robot is."""
+
+    model_config = example(
+        frame="map", t=694.2, **_POSE, covariance=_COVARIANCE3, covariance_kind="joined", submap=3, map_version=12,
+        map_T_odom={"x": 0.2, "y": 0.1, "theta": 0.03},
+    )  # fmt: skip
+
+    frame: str
+    t: float
+    covariance: Covariance = Field(description="of the errors of x, y and theta along the frame's axes")
+    covariance_kind: Literal["joined", "path", "filtered", "dead_reckoning"]
+    submap: int
+    map_version: int
+    map_T_odom: Pose | None = Field(None, description="only for `map`")
+
+
+class TrackPose(Pose):
+    """A pose of a trajectory, and the sub-map whose filter gave it."""
+
+    t: float
+    submap: int
+
+
+class Trajectory(Wire):
+    """Where a robot has been."""
+
+    model_config = example(
+        robot="r1", frame="map", kind="filtered", map_version=12, poses=[{"t": 0.1, **_POSE, "submap": 0}]
+    )
+
+    robot: str
+    frame: str
+    kind: Literal["filtered"]
+    map_version: int
+    poses: list[TrackPose]
+
+
+class LandmarkBody(Wire):
+    """A landmark."""
+
+    id: str
+    x: float = Field(description="m")
+    y: float = Field(description="m")
+    covariance: Covariance
+    submaps: list[int] = Field(description="the sub-maps that hold it")
+
+
+class LandmarkAnswer(LandmarkBody):
+    """A landmark, with its frame."""
+
+    model_config = example(
+        id="7", x=11.5, y=-3.2, covariance=_COVARIANCE2, submaps=[0, 3], frame="map", map_version=12
+    )
+
+    frame: str
+    map_version: int
+
+
+class LandmarkList(Wire):
+    """A page of a map's landmarks, in the order of their first sightings."""
+
+    model_config = example(
+        frame="map", map_version=12, next=None,
+        landmarks=[{"id": "7", "x": 11.5, "y": -3.2, "covariance": _COVARIANCE2, "submaps": [0, 3]}],
+    )  # fmt: skip
+
+    frame: str
+    map_version: int
+    landmarks: list[LandmarkBody]
+    next: str | None
+
+
+_SUBMAP = {
+    "id": 3, "robot": "r1", "active": True, "pose": _POSE, "covariance": _COVARIANCE3, "landmarks": 12, "steps": 140,
+    "observations": 75, "nis": 0.98, "began": 680.2, "ended": None,
+}  # fmt: skip
+
+
+class SubmapAnswer(Wire):
+    """A sub-map; ``pose`` is its frame's in `map`."""
+
+    id: int
+    robot: str
+    active: bool
+    pose: Pose | None = Field(description="its frame in `map`; null where no tie leads there yet")
+    covariance: Covariance | None
+    landmarks: int
+    steps: int
+    observations: int
+    nis: float | None = Field(description="mean normalised innovation squared per degree of freedom")
+    began: float = Field(description="s")
+    ended: float | None = Field(description="s; null while active")
+
+
+class LocalPose(Pose):
+    """A pose with its covariance."""
+
+    covariance: Covariance
+
+
+class LocalLandmark(Wire):
+    """A landmark in its sub-map's own frame."""
+
+    id: str
+    x: float
+    y: float
+    covariance: Covariance
+
+
+class SubmapDetail(SubmapAnswer):
+    """A sub-map with what it holds, in its own frame."""
+
+    model_config = example(
+        **_SUBMAP, robot_pose={**_POSE, "covariance": _COVARIANCE3},
+        local_landmarks=[{"id": "7", "x": 4.5, "y": 1.25, "covariance": _COVARIANCE2}],
+    )  # fmt: skip
+
+    robot_pose: LocalPose
+    local_landmarks: list[LocalLandmark]
+
+
+class SubmapList(Wire):
+    """A page of a map's sub-maps, oldest first."""
+
+    model_config = example(submaps=[_SUBMAP], next=None)
+
+    submaps: list[SubmapAnswer]
+    next: str | None
+
+
+class Node(Wire):
+    """A sub-map as a node of the graph."""
+
+    id: int
+    robot: str
+    active: bool
+
+
+class EdgeAnswer(Wire):
+    """What ties two sub-maps together."""
+
+    kind: Literal["exit", "tie"]
+    a: int
+    b: int
+    transform: Pose = Field(description="T_a_b")
+    covariance: Covariance
+
+
+class Graph(Wire):
+    """The atlas as a graph."""
+
+    model_config = example(
+        map_version=12, nodes=[{"id": 0, "robot": "r1", "active": False}, {"id": 1, "robot": "r1", "active": True}],
+        edges=[{"kind": "exit", "a": 0, "b": 1, "transform": _POSE, "covariance": _COVARIANCE3}],
+    )  # fmt: skip
+
+    map_version: int
+    nodes: list[Node]
+    edges: list[EdgeAnswer]
+
+
+class TransformAnswer(Wire):
+    """T_from_to, composed along the path of least uncertainty."""
+
+    model_config = example(
+        **{"from": 0}, to=3, transform=_POSE, covariance=_COVARIANCE3, path=[0, 1, 3], map_version=12
+    )  # fmt: skip
+
+    from_: int = Field(alias="from")
+    to: int
+    transform: Pose
+    covariance: Covariance
+    path: list[int]
+    map_version: int

@@ -1,0 +1,196 @@
+"""Measurements as a client sends them: rows, which are friendly, and columns, which are fast."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import ConfigDict, Field
+
+from service.wire.base import (
+    FAIL_FAST,
+    Indices,
+    LandmarkId,
+    Matrices,
+    Matrix,
+    Number,
+    Seconds,
+    Wire,
+)
+
+Sequence = Annotated[
+    int, Field(ge=1, le=2**53, description="1 for a robot's first batch; rises by one", examples=[1])
+]
+Steps = "at least one step; t rises, or equals the step before where there is no control"
+
+
+class Odometry(Wire):
+    """The increment of the pose since the step before, in the body frame then."""
+
+    dx: Number = Field(description="m")
+    dy: Number = Field(description="m")
+    dtheta: Number = Field(description="rad")
+    covariance: Matrix | None = Field(None, description="3x3, in place of the map's sigma")
+
+
+class Velocity(Wire):
+    """What the vehicle did since the step before."""
+
+    v: Number = Field(description="m/s")
+    omega: Number = Field(description="rad/s")
+
+
+class CartesianObservation(Wire):
+    """A landmark at a point in the sensor's frame."""
+
+    landmark: LandmarkId
+    x: Number = Field(description="m, forward")
+    y: Number = Field(description="m, to the left")
+    covariance: Matrix | None = Field(None, description="2x2, in place of the map's sigma")
+
+
+class RangeBearingObservation(Wire):
+    """A landmark at a distance and a direction from the sensor."""
+
+    landmark: LandmarkId
+    range: Annotated[Number, Field(gt=0)] = Field(description="m")
+    bearing: Number = Field(description="rad, counter-clockwise from forward")
+    covariance: Matrix | None = Field(None, description="2x2, in place of the map's sigma")
+
+
+class Step(Wire):
+    """One moment: the control that led to it, if any, and what was seen at it."""
+
+    t: Seconds
+    odometry: Odometry | None = None
+    velocity: Velocity | None = None
+
+
+class CartesianStep(Step):
+    """A step of a map whose observations are cartesian."""
+
+    observations: Annotated[list[CartesianObservation], FAIL_FAST] = Field(default_factory=list)
+
+
+class RangeBearingStep(Step):
+    """A step of a map whose observations are range and bearing."""
+
+    observations: Annotated[list[RangeBearingObservation], FAIL_FAST] = Field(default_factory=list)
+
+
+ROWS_EXAMPLE: dict[str, Any] = {
+    "sequence": 1,
+    "steps": [
+        {
+            "t": 0.1,
+            "odometry": {"dx": 1.0, "dy": 0.0, "dtheta": 0.02},
+            "observations": [{"landmark": "7", "x": 11.5, "y": -3.2}],
+        }
+    ],
+}
+RANGE_BEARING_EXAMPLE: dict[str, Any] = {
+    "sequence": 1,
+    "steps": [
+        {
+            "t": 0.1,
+            "velocity": {"v": 1.0, "omega": 0.02},
+            "observations": [{"landmark": "7", "range": 11.9, "bearing": -0.27}],
+        }
+    ],
+}
+COLUMNS_EXAMPLE: dict[str, Any] = {
+    "sequence": 1,
+    "t": [0.1],
+    "control": [[1.0], [0.0], [0.02]],
+    "observation": {"step": [0], "landmark": ["7"], "z": [[11.5], [-3.2]]},
+}
+
+
+class CartesianRows(Wire):
+    """A batch as rows, for a map whose observations are cartesian."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [ROWS_EXAMPLE]})
+
+    sequence: Sequence
+    steps: Annotated[list[CartesianStep], FAIL_FAST] = Field(min_length=1, description=Steps)
+
+
+class RangeBearingRows(Wire):
+    """A batch as rows, for a map whose observations are range and bearing."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [RANGE_BEARING_EXAMPLE]})
+
+    sequence: Sequence
+    steps: Annotated[list[RangeBearingStep], FAIL_FAST] = Field(min_length=1, description=Steps)
+
+
+class ObservationColumns(Wire):
+    """Observations in the order of their steps."""
+
+    step: Indices = Field(description="the step of each observation, counted from 0; does not fall")
+    landmark: Annotated[list[LandmarkId], FAIL_FAST]
+    z: Matrix = Field(description="one list a channel: x and y, or range and bearing")
+    covariance: Matrices | None = Field(
+        None, description="2x2 for each observation, in place of the map's sigma"
+    )
+
+
+class Columns(Wire):
+    """A batch as columns: the same content as rows, and several times as fast."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [COLUMNS_EXAMPLE]})
+
+    sequence: Sequence
+    t: Annotated[list[Seconds], FAIL_FAST] = Field(min_length=1, description=Steps)
+    control: Matrix | None = Field(
+        None, description="one list a channel: dx, dy and dtheta, or v and omega"
+    )
+    control_step: Indices | None = Field(
+        None, description="the steps that have a control, if not all do"
+    )
+    control_covariance: Matrices | None = Field(
+        None, description="3x3 for each odometry, in place of the map's sigma"
+    )
+    observation: ObservationColumns | None = None
+
+
+class Rejected(Wire):
+    """An observation that was set aside."""
+
+    step: int
+    observation: int = Field(description="counted within its step")
+    landmark: str
+    reason: str
+    nis: float | None = Field(description="normalised innovation squared")
+
+
+class RobotPose(Wire):
+    """Where the robot is after a batch, in its sub-map."""
+
+    frame: str = Field(examples=["submap/3"])
+    t: float
+    x: float
+    y: float
+    theta: float
+
+
+class Acknowledgement(Wire):
+    """What became of a batch: it is on disk, applied, and every query sees it."""
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{
+        "sequence": 1, "steps": 1, "observations": 1,
+        "rejected": [
+            {"step": 0, "observation": 0, "landmark": "7", "reason": "gate", "nis": 31.7}
+        ],
+        "flagged": [], "submap": 3, "map_version": 12, "duplicate": False,
+        "pose": {"frame": "submap/3", "t": 0.1, "x": 0.9, "y": 0.1, "theta": 0.02},
+    }]})
+
+    sequence: int
+    steps: int
+    observations: int
+    rejected: list[Rejected]
+    flagged: list[Rejected] = Field(description="used, but less likely than 1 in 10 000")
+    submap: int
+    map_version: int
+    duplicate: bool = Field(description="this batch had been acknowledged before")
+    pose: RobotPose
