@@ -38,9 +38,7 @@ def apply_solve(hosted: Hosted, event: SolveEvent) -> Solve:
     """Apply a solve, and return what is told of it."""
     _, columns = unpack("solve", event.data)
     hosted.runtime.apply(Solved(event.position, event.base, event.problem_digest, columns))
-    return Solve(
-        event.number, hosted.runtime.version, event.seconds, event.iterations, event.cost
-    )
+    return Solve(event.number, hosted.runtime.version, event.seconds, event.iterations, event.cost)
 
 
 @dataclass(eq=False)

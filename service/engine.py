@@ -168,9 +168,7 @@ class Engine:
         batch = decoded.batch
         hosted.position += 1
         hosted.admitted[robot] = Admitted(decoded.sequence, float(batch.t[-1]))
-        event = BatchEvent(
-            hosted.key, hosted.position, robot, decoded.sequence, digest(data), data
-        )
+        event = BatchEvent(hosted.key, hosted.position, robot, decoded.sequence, digest(data), data)
         pending = PendingBatch(hosted, event, batch, self._loop.create_future())
         hosted.in_flight[robot, decoded.sequence] = pending
         self.journal.append(event, pending)
@@ -180,9 +178,7 @@ class Engine:
         self.counters.observations += batch.observations
         return acknowledgement
 
-    async def _repeat(
-        self, hosted: Hosted, robot: str, sequence: int, last: int, content: bytes
-    ) -> bytes:
+    async def _repeat(self, hosted: Hosted, robot: str, sequence: int, last: int, content: bytes) -> bytes:
         """Return the first acknowledgement of a batch that came before."""
         pending = hosted.in_flight.get((robot, sequence))
         if pending is not None:
@@ -203,9 +199,7 @@ class Engine:
         self.counters.duplicates += 1
         return as_duplicate(found[1])
 
-    def _look_up(
-        self, hosted: Hosted, robot: str, sequence: int
-    ) -> tuple[bytes, bytes | None] | None:
+    def _look_up(self, hosted: Hosted, robot: str, sequence: int) -> tuple[bytes, bytes | None] | None:
         self.journal.flush()
         return self.journal.acknowledgement(hosted.key, robot, sequence)
 

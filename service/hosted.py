@@ -6,12 +6,11 @@ import asyncio
 from collections import OrderedDict
 from dataclasses import dataclass, field
 
-from submaps.atlas.view import View
-
 from service.problems import Problem, not_found
 from service.runtime import Runtime
 from service.store.base import BatchEvent, SolveEvent
 from service.wire.columns import Decoded
+from submaps.atlas.view import View
 from submaps.config import MapConfig
 from submaps.measurements import Batch
 
@@ -100,8 +99,7 @@ class Hosted:
 
 def _late(path: str, first: float, last: Admitted) -> Problem:
     message = (
-        f"got {first}, expected a time after {last.t}, the end of batch {last.sequence} "
-        "(equal only without a control)"
+        f"got {first}, expected a time after {last.t}, the end of batch {last.sequence} (equal only without a control)"
     )
     return Problem(422, "invalid-content", f"{path}: {message}", errors=[(path, message)])
 

@@ -43,7 +43,10 @@ class Problem(Exception):
     def body(self) -> bytes:
         """Return the JSON body of the answer."""
         answer: dict[str, Any] = {
-            "type": self.type, "title": self.title, "status": self.status, "detail": self.detail,
+            "type": self.type,
+            "title": self.title,
+            "status": self.status,
+            "detail": self.detail,
         }
         if self.errors:
             answer["errors"] = [{"path": path, "message": message} for path, message in self.errors]

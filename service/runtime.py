@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from numpy.typing import NDArray
-from submaps.atlas.view import View
 
 from submaps.atlas.solution import Solution
 from submaps.atlas.state import AtlasState
+from submaps.atlas.view import View
 from submaps.config import MapConfig
 from submaps.errors import DigestMismatch
 from submaps.mapper import Mapper
@@ -87,13 +87,9 @@ class Runtime:
     def _install(self, event: Solved) -> None:
         base, problem = self._captured or (None, None)
         if problem is None or base != event.base:
-            raise DigestMismatch(
-                f"the solve at {event.position} started from {event.base}, but {base} was captured"
-            )
+            raise DigestMismatch(f"the solve at {event.position} started from {event.base}, but {base} was captured")
         if problem.digest() != event.problem_digest:
-            raise DigestMismatch(
-                f"the solve at {event.position} was computed from another state of {event.base}"
-            )
+            raise DigestMismatch(f"the solve at {event.position} was computed from another state of {event.base}")
         # Live and replayed alike go through the recorded columns, so both reach the same bits.
         self._mapper.install(Solution.from_columns(problem, event.columns))
         self._captured = None

@@ -26,7 +26,10 @@ class Settings(BaseModel):
 
         Raises ``pydantic.ValidationError`` for a value that does not fit.
         """
-        named: dict[str, object] = {name: environment[PREFIX + name.upper()] for name in cls.model_fields
-                 if PREFIX + name.upper() in environment}
+        named: dict[str, object] = {
+            name: environment[PREFIX + name.upper()]
+            for name in cls.model_fields
+            if PREFIX + name.upper() in environment
+        }
         named |= {name: value for name, value in given.items() if value is not None}
         return cls.model_validate(named)

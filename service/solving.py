@@ -34,9 +34,7 @@ class Captures(Protocol):
     def capture(self, hosted: Hosted) -> Awaitable[tuple[int, AtlasState]]:
         """Capture a map's problem between two of its events."""
 
-    def publish(
-        self, hosted: Hosted, base: int, number: int, solved: Solved
-    ) -> Awaitable[Solve]:
+    def publish(self, hosted: Hosted, base: int, number: int, solved: Solved) -> Awaitable[Solve]:
         """Send a solve through the journal into its map."""
 
 

@@ -71,7 +71,8 @@ class Mapper:
         r = self._robots.get(robot) or self._new_robot(robot, float(batch.t[0]))
         landmark = self._intern(batch.landmark)
         steps, noises = increments(self.config.motion, batch, r.t)
-        dead_reckon(r.odom, r.odom_covariance, steps, noises)
+        track_odom = np.empty((batch.steps, 3))
+        dead_reckon(r.odom, r.odom_covariance, steps, noises, batch.control_step, track_odom)
         R = self._R if batch.observation_covariance is None else _one_each(batch.observation_covariance)
         nis = np.empty(batch.observations)
         status = np.zeros(batch.observations, dtype=np.uint8)
@@ -97,8 +98,8 @@ class Mapper:
         rejected, flagged = _set_aside(batch, status, nis)
         x, y, theta = track[-1]
         return Report(
-            r.active.number, r.t, (float(x), float(y), float(theta)), rejected, flagged, track_submap, track
-        )  # fmt: skip
+            r.active.number, r.t, (float(x), float(y), float(theta)), rejected, flagged, track_submap, track, track_odom
+        )
 
     def view(self) -> View:
         """What queries see: immutable, sharing all but the active sub-maps that changed."""

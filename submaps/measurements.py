@@ -61,7 +61,7 @@ class Report:
     """What applying a batch did: the robot's pose after it, and what was set aside.
 
     ``pose`` (x m, y m, theta rad) is in the frame of ``submap``; ``track_pose`` (n, 3) after each
-    step in the frame of ``track_submap`` (n,).
+    step in the frame of ``track_submap`` (n,), ``track_odom`` (n, 3) by dead reckoning in ``odom``.
     """
 
     submap: int
@@ -71,3 +71,4 @@ class Report:
     flagged: tuple[Rejection, ...]
     track_submap: NDArray[np.int32]
     track_pose: Floats
+    track_odom: Floats

@@ -9,11 +9,11 @@ from itertools import chain
 import numpy as np
 import orjson
 from numpy.typing import NDArray
-from submaps.atlas.view import View
 
 from service.hosted import Hosted
 from service.store.base import Journal
 from service.store.encoding import decode_track
+from submaps.atlas.view import View
 
 Pose = tuple[float, float, float]
 
@@ -57,6 +57,8 @@ def _piece(data: bytes, view: View, frame: str, frames: dict[int, Pose], span: t
     track = decode_track(data)
     within = (track.t >= span[0]) & (track.t <= span[1])
     submap, pose = track.submap[within], track.pose[within]
+    if frame == "odom":
+        return Piece(track.t[within], submap, track.odom[within])
     for k in set(submap.tolist()) - frames.keys():
         frames[k] = view.frame_in(k, frame)
     x, y, theta = np.array([frames[k] for k in submap.tolist()]).reshape(-1, 3).T

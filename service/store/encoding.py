@@ -110,19 +110,26 @@ def decode_batch(data: bytes) -> Batch:
 
 @dataclass(frozen=True)
 class Track:
-    """Filtered poses of a batch: ``t`` (n,) s, ``submap`` (n,), ``pose`` (n, 3) in its frame."""
+    """Poses of a batch at ``t`` (n,) s: filtered (n, 3) in the frame of ``submap`` (n,), and in ``odom``."""
 
     t: NDArray[np.float64]
     submap: NDArray[np.int32]
     pose: NDArray[np.float64]
+    odom: NDArray[np.float64]
 
 
 def encode_track(t: NDArray[np.float64], report: Report) -> bytes:
-    """Return the filtered track of a batch as bytes."""
-    return pack("track", {"t": t, "submap": report.track_submap, "pose": report.track_pose})
+    """Return the track of a batch as bytes."""
+    arrays: dict[str, NDArray[Any]] = {
+        "t": t,
+        "submap": report.track_submap,
+        "pose": report.track_pose,
+        "odom": report.track_odom,
+    }
+    return pack("track", arrays)
 
 
 def decode_track(data: bytes) -> Track:
     """Return the track that ``encode_track`` was given."""
     _, arrays = unpack("track", data)
-    return Track(arrays["t"], arrays["submap"], arrays["pose"])
+    return Track(arrays["t"], arrays["submap"], arrays["pose"], arrays["odom"])

@@ -21,8 +21,11 @@ def load_statements() -> dict[str, str]:
 def load_migrations() -> list[tuple[int, str]]:
     """Return the migrations ``(version, SQL)``, in order."""
     folder = files(__package__).joinpath("schema")
-    found = [(int(file.name[:4]), file.read_text(encoding="utf-8"))
-             for file in folder.iterdir() if file.name.endswith(".sql")]
+    found = [
+        (int(file.name[:4]), file.read_text(encoding="utf-8"))
+        for file in folder.iterdir()
+        if file.name.endswith(".sql")
+    ]
     return sorted(found)
 
 
@@ -38,6 +41,4 @@ def migrate(connection: sqlite3.Connection) -> None:
         raise StoreError(f"the journal has schema {done}; this version knows {migrations[-1][0]}")
     for version, sql in migrations:
         if version > done:
-            connection.executescript(
-                f"BEGIN IMMEDIATE; {sql}; INSERT INTO migration VALUES ({version}); COMMIT"
-            )
+            connection.executescript(f"BEGIN IMMEDIATE; {sql}; INSERT INTO migration VALUES ({version}); COMMIT")

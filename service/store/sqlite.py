@@ -156,10 +156,18 @@ class SqliteJournal:
             for entry in entries:
                 self._insert(entry)
             for one in derived:
-                self._writer.execute(SQL["derive"], (
-                    one.map, one.robot, one.sequence, one.began, one.ended,
-                    one.acknowledgement, one.track,
-                ))
+                self._writer.execute(
+                    SQL["derive"],
+                    (
+                        one.map,
+                        one.robot,
+                        one.sequence,
+                        one.began,
+                        one.ended,
+                        one.acknowledgement,
+                        one.track,
+                    ),
+                )
                 self._written(one.track)
             self._writer.execute("COMMIT")
         except BaseException:
@@ -174,15 +182,33 @@ class SqliteJournal:
     def _insert(self, entry: Entry) -> None:
         match entry:
             case BatchEvent():
-                self._writer.execute(SQL["append_batch"], (
-                    entry.map, entry.position, entry.robot, entry.sequence, entry.digest, entry.data,
-                ))
+                self._writer.execute(
+                    SQL["append_batch"],
+                    (
+                        entry.map,
+                        entry.position,
+                        entry.robot,
+                        entry.sequence,
+                        entry.digest,
+                        entry.data,
+                    ),
+                )
                 self._written(entry.data)
             case SolveEvent():
-                self._writer.execute(SQL["append_solve"], (
-                    entry.map, entry.position, entry.base, entry.number, entry.problem_digest,
-                    entry.data, entry.seconds, entry.iterations, entry.cost,
-                ))
+                self._writer.execute(
+                    SQL["append_solve"],
+                    (
+                        entry.map,
+                        entry.position,
+                        entry.base,
+                        entry.number,
+                        entry.problem_digest,
+                        entry.data,
+                        entry.seconds,
+                        entry.iterations,
+                        entry.cost,
+                    ),
+                )
                 self._written(entry.data)
             case CreateMap():
                 self._writer.execute(SQL["create_map"], (entry.map, entry.id, entry.config))
@@ -239,8 +265,7 @@ class SqliteJournal:
         """Yield the events of a map in order; the flag tells that what it derives is kept."""
         with self._reading() as reader:
             batches: Iterator[tuple[Event, bool]] = (
-                (BatchEvent(*row[:6]), bool(row[6]))
-                for row in reader.execute(SQL["batches"], (map_, after))
+                (BatchEvent(*row[:6]), bool(row[6])) for row in reader.execute(SQL["batches"], (map_, after))
             )
             solves: Iterator[tuple[Event, bool]] = (
                 (SolveEvent(*row), True) for row in reader.execute(SQL["solves"], (map_, after))
@@ -252,9 +277,7 @@ class SqliteJournal:
         with self._reading() as reader:
             return frozenset(row[0] for row in reader.execute(SQL["solve_bases"], (map_,)))
 
-    def acknowledgement(
-        self, map_: int, robot: str, sequence: int
-    ) -> tuple[bytes, bytes | None] | None:
+    def acknowledgement(self, map_: int, robot: str, sequence: int) -> tuple[bytes, bytes | None] | None:
         """Return the digest and the acknowledgement of a batch, or None."""
         with self._reading() as reader:
             row = reader.execute(SQL["acknowledgement"], (map_, robot, sequence)).fetchone()

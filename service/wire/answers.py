@@ -109,9 +109,7 @@ class LandmarkBody(Wire):
 class LandmarkAnswer(LandmarkBody):
     """A landmark, with its frame."""
 
-    model_config = example(
-        id="7", x=11.5, y=-3.2, covariance=_COVARIANCE2, submaps=[0, 3], frame="map", map_version=12
-    )
+    model_config = example(id="7", x=11.5, y=-3.2, covariance=_COVARIANCE2, submaps=[0, 3], frame="map", map_version=12)
 
     frame: str
     map_version: int

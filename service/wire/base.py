@@ -36,9 +36,7 @@ def _printable(text: str) -> str:
 Name = Annotated[str, Field(pattern=NAME, examples=["park"])]
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Seconds = Annotated[float, Field(ge=-LATEST, le=LATEST, description="the robot's own clock, s")]
-LandmarkId = Annotated[
-    str, Field(min_length=1, max_length=128, examples=["7"]), AfterValidator(_printable)
-]
+LandmarkId = Annotated[str, Field(min_length=1, max_length=128, examples=["7"]), AfterValidator(_printable)]
 FAIL_FAST = Field(fail_fast=True)
 # A wrong list of a million numbers is one error, not a million.
 Numbers = Annotated[list[Number], FAIL_FAST]

@@ -93,8 +93,10 @@ def from_columns(columns: Columns, config: MapConfig) -> Batch:
     step = np.array(seen.step, dtype=np.int64)
     _check_steps("observation.step", step, t.size, least_rise=0)
     if len(seen.landmark) != step.size:
-        raise invalid("observation.landmark", f"got {len(seen.landmark)}, expected one for each of "
-                                              f"{step.size} entries of observation.step")
+        raise invalid(
+            "observation.landmark",
+            f"got {len(seen.landmark)}, expected one for each of {step.size} entries of observation.step",
+        )
     z = _channels("observation.z", seen.z, config.observation.channels, step.size)
     if config.observation.model == "range_bearing":
         _check(z[0] > 0.0, lambda i: f"observation.z.0.{i}", z[0], "a range above 0")
@@ -143,9 +145,7 @@ def _channels(name: str, rows: list[list[float]], channels: tuple[str, ...], wid
     return np.array(rows, dtype=np.float64).reshape(len(channels), width)
 
 
-def _matrices(
-    name: str, rows: list[list[list[float]]] | None, size: int, count: int
-) -> Floats | None:
+def _matrices(name: str, rows: list[list[list[float]]] | None, size: int, count: int) -> Floats | None:
     if rows is None:
         return None
     if len(rows) != count:
@@ -188,9 +188,7 @@ def from_rows(rows: CartesianRows | RangeBearingRows, config: MapConfig) -> Batc
         observation_step=observation_step,
         landmark=tuple(o.landmark for o in seen),
         z=np.array(channels, dtype=np.float64).reshape(2, len(seen)),
-        observation_covariance=_filled(
-            [o.covariance for o in seen], config.observation.sigma, covariance_path
-        ),
+        observation_covariance=_filled([o.covariance for o in seen], config.observation.sigma, covariance_path),
     )
     check_times(batch, "steps.{}.t".format)
     return batch
@@ -214,9 +212,7 @@ def _control_rows(
     covariance = None
     if model == "odometry":
         given = [c.covariance for c in controls if isinstance(c, Odometry)]
-        covariance = _filled(
-            given, config.motion.sigma, lambda i: f"steps.{where[i]}.odometry.covariance"
-        )
+        covariance = _filled(given, config.motion.sigma, lambda i: f"steps.{where[i]}.odometry.covariance")
     return np.array(where, dtype=np.int64), values.reshape(len(channels), len(where)), covariance
 
 
@@ -269,9 +265,7 @@ def check_covariances(matrices: Floats, path: Callable[[int], str]) -> Floats:
     return matrices
 
 
-def _check(
-    good: NDArray[np.bool_], path: Callable[[int], str], values: NDArray[Any], expected: str
-) -> None:
+def _check(good: NDArray[np.bool_], path: Callable[[int], str], values: NDArray[Any], expected: str) -> None:
     if not good.all():
         first = int(np.argmin(good))
         raise _refused(path(first), values[first], expected)

@@ -20,9 +20,7 @@ Count = Annotated[int, Field(ge=1)]
 class Motion(Wire):
     """What all motion models share."""
 
-    noise: Literal["reading"] = Field(
-        "reading", exclude=True, description="sigma is of one step's reading"
-    )
+    noise: Literal["reading"] = Field("reading", exclude=True, description="sigma is of one step's reading")
 
 
 class OdometryMotion(Motion):
@@ -75,6 +73,7 @@ class Submap(Wire):
 
     max_landmarks: Annotated[int, Field(ge=1, le=1000)] = 50
     max_heading_sigma: Annotated[float, Field(gt=0, le=LARGEST, description="rad")] = 0.010
+    max_position_sigma: Annotated[float, Field(gt=0, le=LARGEST, description="m")] = 0.15
     min_observed_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 5
 
 
@@ -85,7 +84,7 @@ EXAMPLE: dict[str, Any] = {
     "observation": {"model": "cartesian", "sigma": [0.6325, 0.6325], "mount": [0, 0, 0]},
     "filter": "invariant",
     "association": {"method": "known", "gate": None},
-    "submap": {"max_landmarks": 50, "max_heading_sigma": 0.010, "min_observed_steps": 5},
+    "submap": {"max_landmarks": 50, "max_heading_sigma": 0.010, "max_position_sigma": 0.15, "min_observed_steps": 5},
 }
 
 
@@ -118,6 +117,7 @@ class Config(Wire):
                 gate=self.association.gate,
                 max_landmarks=self.submap.max_landmarks,
                 max_heading_sigma=self.submap.max_heading_sigma,
+                max_position_sigma=self.submap.max_position_sigma,
                 min_observed_steps=self.submap.min_observed_steps,
             )
         except ConfigError as error:

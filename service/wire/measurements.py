@@ -17,9 +17,7 @@ from service.wire.base import (
     Wire,
 )
 
-Sequence = Annotated[
-    int, Field(ge=1, le=2**53, description="1 for a robot's first batch; rises by one", examples=[1])
-]
+Sequence = Annotated[int, Field(ge=1, le=2**53, description="1 for a robot's first batch; rises by one", examples=[1])]
 Steps = "at least one step; t rises, or equals the step before where there is no control"
 
 
@@ -129,9 +127,7 @@ class ObservationColumns(Wire):
     step: Indices = Field(description="the step of each observation, counted from 0; does not fall")
     landmark: Annotated[list[LandmarkId], FAIL_FAST]
     z: Matrix = Field(description="one list a channel: x and y, or range and bearing")
-    covariance: Matrices | None = Field(
-        None, description="2x2 for each observation, in place of the map's sigma"
-    )
+    covariance: Matrices | None = Field(None, description="2x2 for each observation, in place of the map's sigma")
 
 
 class Columns(Wire):
@@ -141,15 +137,9 @@ class Columns(Wire):
 
     sequence: Sequence
     t: Annotated[list[Seconds], FAIL_FAST] = Field(min_length=1, description=Steps)
-    control: Matrix | None = Field(
-        None, description="one list a channel: dx, dy and dtheta, or v and omega"
-    )
-    control_step: Indices | None = Field(
-        None, description="the steps that have a control, if not all do"
-    )
-    control_covariance: Matrices | None = Field(
-        None, description="3x3 for each odometry, in place of the map's sigma"
-    )
+    control: Matrix | None = Field(None, description="one list a channel: dx, dy and dtheta, or v and omega")
+    control_step: Indices | None = Field(None, description="the steps that have a control, if not all do")
+    control_covariance: Matrices | None = Field(None, description="3x3 for each odometry, in place of the map's sigma")
     observation: ObservationColumns | None = None
 
 
@@ -176,14 +166,23 @@ class RobotPose(Wire):
 class Acknowledgement(Wire):
     """What became of a batch: it is on disk, applied, and every query sees it."""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{
-        "sequence": 1, "steps": 1, "observations": 1,
-        "rejected": [
-            {"step": 0, "observation": 0, "landmark": "7", "reason": "gate", "nis": 31.7}
-        ],
-        "flagged": [], "submap": 3, "map_version": 12, "duplicate": False,
-        "pose": {"frame": "submap/3", "t": 0.1, "x": 0.9, "y": 0.1, "theta": 0.02},
-    }]})
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "sequence": 1,
+                    "steps": 1,
+                    "observations": 1,
+                    "rejected": [{"step": 0, "observation": 0, "landmark": "7", "reason": "gate", "nis": 31.7}],
+                    "flagged": [],
+                    "submap": 3,
+                    "map_version": 12,
+                    "duplicate": False,
+                    "pose": {"frame": "submap/3", "t": 0.1, "x": 0.9, "y": 0.1, "theta": 0.02},
+                }
+            ]
+        }
+    )
 
     sequence: int
     steps: int

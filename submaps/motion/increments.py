@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from submaps._jit import jit
 from submaps.config import MotionConfig
 from submaps.filtering.kernel import accumulate
-from submaps.measurements import Batch
+from submaps.measurements import Batch, Ints
 from submaps.motion import odometry, velocity
 
 Floats = NDArray[np.float64]
@@ -55,8 +55,17 @@ def increments(config: MotionConfig, batch: Batch, previous_t: float | None) -> 
     return out, out_covariance
 
 
-@jit("void(float64[::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1])")
-def dead_reckon(pose: Floats, covariance: Floats, steps: Floats, noises: Floats) -> None:
-    """Compose increments (c, 3) onto a pose (3,) and its covariance (3, 3), in place."""
-    for k in range(steps.shape[0]):
-        accumulate(pose, covariance, steps[k], noises[k])
+@jit("void(float64[::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], int64[::1], float64[:, ::1])")
+def dead_reckon(
+    pose: Floats, covariance: Floats, steps: Floats, noises: Floats, control_step: Ints, track: Floats
+) -> None:
+    """Compose increments (c, 3) onto a pose (3,) and its covariance (3, 3), in place.
+
+    ``track`` (n, 3) receives the pose after each step; increment k belongs to ``control_step[k]``.
+    """
+    k = 0
+    for step in range(track.shape[0]):
+        if k < control_step.shape[0] and control_step[k] == step:
+            accumulate(pose, covariance, steps[k], noises[k])
+            k += 1
+        track[step, 0], track[step, 1], track[step, 2] = pose[0], pose[1], pose[2]

@@ -31,6 +31,7 @@ VELOCITY_MAP: Json = {
     "observation": {"model": "range_bearing", "sigma": [0.1, 0.02], "mount": [0.3, 0.0, 0.1]},
 }
 
+
 @dataclass
 class Server:
     """A server in a process of its own."""
@@ -152,8 +153,9 @@ class Api:
     def post(self, body: Any, robot: str = "r1", type_: str = "application/json") -> httpx.Response:
         """Send measurements."""
         content = body if isinstance(body, bytes) else json.dumps(body).encode()
-        return self.http.post(f"{self.root}/robots/{robot}/measurements", content=content,
-                              headers={"Content-Type": type_})
+        return self.http.post(
+            f"{self.root}/robots/{robot}/measurements", content=content, headers={"Content-Type": type_}
+        )
 
     def send(self, body: Json, robot: str = "r1") -> Json:
         """Send measurements that are taken in, and return the acknowledgement."""

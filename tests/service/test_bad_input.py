@@ -170,8 +170,11 @@ def test_wrong_content_type(unchanged: Api, type_: str) -> None:
 
 
 def test_compressed_bodies_are_refused(unchanged: Api) -> None:
-    answer = unchanged.http.post(f"{unchanged.root}/robots/r1/measurements", content=b"x",
-                                 headers={"Content-Type": "application/json", "Content-Encoding": "gzip"})
+    answer = unchanged.http.post(
+        f"{unchanged.root}/robots/r1/measurements",
+        content=b"x",
+        headers={"Content-Type": "application/json", "Content-Encoding": "gzip"},
+    )
     assert "gzip" in problem(answer, 415)["detail"]
 
 
@@ -185,8 +188,9 @@ def test_a_body_too_large_of_unknown_length(unchanged: Api) -> None:
         for _ in range(17):
             yield b" " * 2**20
 
-    answer = unchanged.http.post(f"{unchanged.root}/robots/r1/measurements", content=chunks(),
-                                 headers={"Content-Type": "application/json"})
+    answer = unchanged.http.post(
+        f"{unchanged.root}/robots/r1/measurements", content=chunks(), headers={"Content-Type": "application/json"}
+    )
     problem(answer, 413)
 
 

@@ -10,8 +10,16 @@ from tests.service.support import COLUMNS_TYPE, Api, Json, check, problem, steps
 
 def test_unknown_things(unchanged: Api) -> None:
     http, root = unchanged.http, unchanged.root
-    for path in ("/robots/r9", "/robots/r9/pose", "/robots/r9/trajectory", "/landmarks/none", "/submaps/99",
-                 "/solves/99", "/graph/transform?from=0&to=99", "/robots/r1/pose?frame=submap/99"):
+    for path in (
+        "/robots/r9",
+        "/robots/r9/pose",
+        "/robots/r9/trajectory",
+        "/landmarks/none",
+        "/submaps/99",
+        "/solves/99",
+        "/graph/transform?from=0&to=99",
+        "/robots/r1/pose?frame=submap/99",
+    ):
         problem(http.get(root + path), 404)
     problem(http.get("/v1/maps/none"), 404)
     problem(http.delete("/v1/maps/none"), 404)
@@ -81,6 +89,7 @@ MAPS: dict[str, tuple[Json, str]] = {
     "unknown association": ({"association": {"method": "nearest"}}, "association.method"),
     "gate beyond 1": ({"association": {"gate": 9.21}}, "association.gate"),
     "no landmarks": ({"submap": {"max_landmarks": 0}}, "submap.max_landmarks"),
+    "position 0": ({"submap": {"max_position_sigma": 0}}, "submap.max_position_sigma"),
     "heading 0": ({"submap": {"max_heading_sigma": 0}}, "submap.max_heading_sigma"),
     "unknown field": ({"color": "red"}, "color"),
     "bad id": ({"id": "Park!"}, "id"),
@@ -105,8 +114,12 @@ def test_an_id_that_is_taken(unchanged: Api) -> None:
 def test_a_model_that_does_not_match(velocity_api: Api) -> None:
     check(velocity_api, velocity_api.post({"sequence": 1, "steps": steps(1)}), 422, None)
     polar = {"landmark": "1", "range": 0.0, "bearing": 0.1}
-    check(velocity_api, velocity_api.post({"sequence": 1, "steps": [{"t": 1, "observations": [polar]}]}), 422,
-          "steps.0.observations.0.range")
+    check(
+        velocity_api,
+        velocity_api.post({"sequence": 1, "steps": [{"t": 1, "observations": [polar]}]}),
+        422,
+        "steps.0.observations.0.range",
+    )
     columns = {"sequence": 1, "t": [1.0], "control": [[1.0], [0.1]], "control_covariance": [[[1, 0], [0, 1]]]}
     check(velocity_api, velocity_api.post(columns, type_=COLUMNS_TYPE), 422, "control_covariance.0")
     assert velocity_api.get("")["counts"]["steps"] == 0

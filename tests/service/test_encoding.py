@@ -41,8 +41,15 @@ def any_batches(draw: st.DrawFn) -> Batch:
 @given(any_batches())
 def test_a_batch_comes_back_bit_for_bit(batch: Batch) -> None:
     again = decode_batch(encode_batch(batch))
-    for name in ("t", "control_step", "control", "control_covariance", "observation_step", "z",
-                 "observation_covariance"):
+    for name in (
+        "t",
+        "control_step",
+        "control",
+        "control_covariance",
+        "observation_step",
+        "z",
+        "observation_covariance",
+    ):
         before, after = getattr(batch, name), getattr(again, name)
         if before is None:
             assert after is None

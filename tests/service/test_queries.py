@@ -68,7 +68,9 @@ def test_a_map_is_answered_as_it_was_made(api: Api) -> None:
     assert found["id"] == api.id
     assert found["config"]["motion"] == ODOMETRY_MAP["motion"]
     assert found["config"]["association"] == {"method": "known", "gate": None}
-    assert found["config"]["submap"] == {"max_landmarks": 8, "max_heading_sigma": 0.01, "min_observed_steps": 5}
+    assert found["config"]["submap"] == {
+        "max_landmarks": 8, "max_heading_sigma": 0.01, "max_position_sigma": 0.15, "min_observed_steps": 5
+    }  # fmt: skip
     assert found["counts"]["steps"] == 0
     assert api.all_of("robots") == api.all_of("submaps") == []
     assert api.get("/landmarks")["landmarks"] == []
@@ -150,6 +152,13 @@ def test_the_trajectory_is_where_the_robot_drove(driven: Api) -> None:
     truth = 8.0 * np.column_stack([np.sin(turn), 1.0 - np.cos(turn)])
     error = np.array([[pose["x"], pose["y"]] for pose in track]) - truth
     assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 1.0
+
+
+def test_the_trajectory_by_dead_reckoning(driven: Api) -> None:
+    track = driven.get("/robots/r1/trajectory", frame="odom")["poses"]
+    assert len(track) == len(driven.get("/robots/r1/trajectory")["poses"])
+    last = driven.get("/robots/r1/pose", frame="odom")
+    assert [track[-1][name] for name in ("t", "x", "y", "theta")] == [last[name] for name in ("t", "x", "y", "theta")]
 
 
 def test_a_span_of_the_trajectory(driven: Api) -> None:

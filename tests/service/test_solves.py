@@ -44,6 +44,7 @@ def test_a_deleted_map_is_gone_and_its_id_is_free(server: Server) -> None:
     api = Api(server.url, "short-lived").make()
     made = batches(20, 30)
     with ThreadPoolExecutor(2) as pool:
+
         def send() -> list[int]:
             return [api.post(batch).status_code for batch in made]
 
