@@ -57,6 +57,7 @@ class Mapper:
         self.config = config
         self.solve_due = False
         self._pending = 0
+        self._closed_bytes = 0
         self._invariant = config.filter == "invariant"
         self._whole, self._real, self._R = _settings(config)
         self._robots: dict[str, _Robot] = {}
@@ -92,7 +93,7 @@ class Mapper:
             if event == columns.GENESIS:
                 self._begin_next(r, float(batch.t[step]))
             elif event == columns.GROW:
-                self._slots_of = s.grow(int(np.count_nonzero(batch.observation_step == step)) + s.landmark_count)
+                s.grow(int(np.count_nonzero(batch.observation_step == step)) + s.landmark_count)
         r.t = float(batch.t[-1])
         self._changed.add(robot)
         rejected, flagged = _set_aside(batch, status, nis)
@@ -121,32 +122,35 @@ class Mapper:
 
     def _new_robot(self, name: str, t: float) -> _Robot:
         number = len(self._robots)
-        robot = _Robot(number, name, self._new_submap(number, -1, t))
+        capacity = min(self.config.max_landmarks, _FIRST_CAPACITY)
+        robot = _Robot(number, name, ActiveSubmap(self._next_number(), number, -1, t, capacity))
         self._robots[name] = robot
         return robot
 
-    def _new_submap(self, robot: int, previous: int, began: float) -> ActiveSubmap:
-        number = len(self._state.records)
+    def _next_number(self) -> int:
+        """The number of a sub-map that begins, with a place for it among the records."""
         self._state.records.append(None)
-        return ActiveSubmap(number, robot, previous, began, min(self.config.max_landmarks, _FIRST_CAPACITY))
+        return len(self._state.records) - 1
 
     def _begin_next(self, r: _Robot, t: float) -> None:
         """Close the robot's sub-map at its present pose and begin the next one there."""
-        old = r.active
-        old.predict(self._invariant)
-        r.active = self._new_submap(r.number, old.number, t)
-        closed = old.snapshot(t, self._invariant, following=r.active.number)
-        state = self._state
-        state.records[old.number] = closed
-        for landmark in closed.landmarks:
-            state.sightings[landmark].append(old.number)
-        seen = self._last_seen[closed.landmarks]
-        self._last_seen[closed.landmarks] = old.number
+        active, state = r.active, self._state
+        active.predict(self._invariant)
+        number = self._next_number()
+        closed = active.snapshot(t, self._invariant, following=number)
+        state.records[closed.number] = closed
+        self._closed_bytes += closed.nbytes
+        r.closed_counts += active.counts
+        held = closed.landmarks.tolist()
+        for landmark in held:
+            state.sightings[landmark].append(closed.number)
+        seen = self._last_seen[held].tolist()
+        self._last_seen[held] = closed.number
+        self._slot_of[held] = -1
+        active.begin(number, closed.number, t)
         self._pending += 1
-        ties_to_older = bool(np.any((seen >= 0) & (seen != old.previous)))
+        ties_to_older = any(k not in (-1, closed.previous) for k in seen)
         self.solve_due |= ties_to_older or self._pending >= PENDING_EXTENSIONS
-        self._state = replace(state, closed_bytes=state.closed_bytes + closed.nbytes)
-        r.closed_counts += old.counts
 
     def _intern(self, names: tuple[str, ...]) -> Ints:
         """The map's numbers of landmark names; new names get the next ones."""
@@ -190,7 +194,7 @@ class Mapper:
         self._changed.clear()
         self._state = replace(
             self._state, active=active, robots=robots, submap_count=len(self._state.records),
-            landmark_count=len(self._state.names),
+            landmark_count=len(self._state.names), closed_bytes=self._closed_bytes,
         )  # fmt: skip
 
 

@@ -15,9 +15,10 @@ from submaps.geometry.se2 import Pose, compose
 
 Floats = NDArray[np.float64]
 
-# A parked or slip-free vehicle leaves the pose without variance; a factor needs some.
+# A parked or slip-free vehicle leaves the pose's covariance singular, and a factor needs all of its
+# pivots. The heading's floor is the smaller: its error grows with a landmark's distance.
 POSITION_FLOOR_M = 1e-4
-HEADING_FLOOR_RAD = 1e-5
+HEADING_FLOOR_RAD = 2e-7
 
 
 @jit("void(float64[:, ::1], int64, float64[::1])")
@@ -27,6 +28,19 @@ def _pack(P: Floats, n: int, out: Floats) -> None:
         for j in range(i + 1):
             out[k] = P[i, j]
             k += 1
+
+
+@jit("void(float64[::1])")
+def _raise_pivots(packed: Floats) -> None:
+    """Raise the pose's variances so that its pivots, taken in the order theta, x, y, reach the floors."""
+    xx, xy, yy, xt, yt, tt = packed[0], packed[1], packed[2], packed[3], packed[4], packed[5]
+    tt = max(tt, HEADING_FLOOR_RAD**2)
+    rest = xx - xt * xt / tt
+    xx += max(POSITION_FLOOR_M**2 - rest, 0.0)
+    rest = xx - xt * xt / tt
+    mixed = xy - xt * yt / tt
+    yy += max(POSITION_FLOOR_M**2 - (yy - yt * yt / tt - mixed * mixed / rest), 0.0)
+    packed[0], packed[2], packed[5] = xx, yy, tt
 
 
 @jit("float64[:, ::1](float64[::1], int64[::1])")
@@ -111,17 +125,32 @@ def _aligned(rows: int, columns: int) -> Floats:
 
 
 class ActiveSubmap:
-    """The arrays of a sub-map that a robot is in; ``filtering.walk`` changes them in place."""
+    """The arrays of the sub-map that a robot is in; ``filtering.walk`` changes them in place.
+
+    A robot keeps one for life: when a sub-map has closed, ``begin`` starts the next in its arrays.
+    """
 
     def __init__(self, number: int, robot: int, previous: int, began: float, landmarks: int) -> None:
-        self.number = number
         self.robot = robot
-        self.previous = previous
-        self.began = began
         self.counts = np.zeros(columns.COUNTS, dtype=np.int64)
-        self.counts[columns.DIM] = 3
         self.motion = np.zeros(columns.MOTION)
         self._allocate(3 + 2 * landmarks)
+        self.begin(number, previous, began)
+
+    def begin(self, number: int, previous: int, began: float) -> None:
+        """Start sub-map ``number`` at its origin, with nothing in it.
+
+        Beyond the state's dimension the arrays may hold what was there: ``augment`` writes a
+        landmark's rows and columns whole.
+        """
+        self.number = number
+        self.previous = previous
+        self.began = began
+        self.counts[:] = 0
+        self.counts[columns.DIM] = 3
+        self.motion[:] = 0.0
+        self.x[:3] = 0.0
+        self.P[:3, :3] = 0.0
 
     def _allocate(self, dimension: int) -> None:
         rows = -(-dimension // 8) * 8
@@ -130,13 +159,12 @@ class ActiveSubmap:
         self.ids = np.zeros(rows // 2, dtype=np.int64)
         self.scratch = _aligned(3, rows)
 
-    def grow(self, more: int) -> ActiveSubmap:
-        """Make room for ``more`` further landmarks; returns itself, its slots unchanged."""
+    def grow(self, more: int) -> None:
+        """Make room for ``more`` further landmarks."""
         n = self.dimension
         x, P, ids = self.x, self.P, self.ids
         self._allocate(n + 2 * more)
         self.x[:n], self.P[:n, :n], self.ids[: ids.shape[0]] = x[:n], P[:n, :n], ids
-        return self
 
     @property
     def dimension(self) -> int:
@@ -162,7 +190,7 @@ class ActiveSubmap:
     def snapshot(self, ended: float, invariant: bool, following: int = -1) -> Submap:
         """What it says now, with the pending increment taken in; its own arrays stay as they are.
 
-        A sub-map that closes (``following``) has its pose's variance raised by a floor.
+        Where the pose's covariance is singular, its missing variance is raised to a floor.
         """
         n, counts, x, P, motion = self.dimension, self.counts, self.x, self.P, self.motion
         if motion[: columns.NIS_SUM].any():
@@ -170,8 +198,7 @@ class ActiveSubmap:
             columns.flush(x, P, counts, motion, invariant, self.scratch)
         packed = np.empty(n * (n + 1) // 2)
         _pack(P, n, packed)
-        packed[[0, 2]] += POSITION_FLOOR_M**2
-        packed[5] += HEADING_FLOOR_RAD**2
+        _raise_pivots(packed)
         return Submap(
             number=self.number, robot=self.robot, previous=self.previous, following=following,
             began=self.began, ended=ended, steps=int(counts[columns.STEPS]),

@@ -136,6 +136,7 @@ class Component:
         """Add an increment of all variables to their values."""
         poses = 3 * len(self.chain)
         self.frames[1:] += step[:poses].reshape(-1, 3)
+        self.frames[:, 2] = np.remainder(self.frames[:, 2] + np.pi, 2.0 * np.pi) - np.pi
         self.points += step[poses:].reshape(-1, 2)
 
 

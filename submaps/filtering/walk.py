@@ -73,11 +73,17 @@ def _new_landmarks(landmark: Ints, slot_of: NDArray[np.int32], begin: int, end: 
 
 @jit()
 def _position_variance(x: Floats, P: Floats, motion: Floats, invariant: bool) -> float:
-    """Trace of the pose's position covariance (m^2), the pending increment's own noise included."""
-    variance: float = P[0, 0] + P[1, 1] + motion[NOISE] + motion[NOISE + 4]
-    if invariant:  # additive error = xi_p + J p xi_theta
-        variance += 2.0 * (x[0] * P[1, 2] - x[1] * P[0, 2]) + (x[0] * x[0] + x[1] * x[1]) * P[2, 2]
-    return variance
+    """Trace of the covariance (m^2) of the position's additive error, the pending increment taken in.
+
+    The error is xi_p + J q xi_theta plus the increment's own, with q the position after it on the
+    invariant error and the increment itself, R d, on the standard one.
+    """
+    s, c = sincos(x[2])
+    q0 = c * motion[0] - s * motion[1] + (x[0] if invariant else 0.0)
+    q1 = s * motion[0] + c * motion[1] + (x[1] if invariant else 0.0)
+    own: float = P[0, 0] + P[1, 1] + motion[NOISE] + motion[NOISE + 4]
+    own += 2.0 * (q0 * P[1, 2] - q1 * P[0, 2]) + (q0 * q0 + q1 * q1) * P[2, 2]
+    return own
 
 
 @jit()

@@ -141,8 +141,8 @@ def rotation_series(phi: float) -> tuple[float, float]:
     Below 0.1 rad by series, so that neither quotient loses digits.
     """
     if abs(phi) > 0.1:
-        s, c = sincos(phi)
-        return s / phi, (1.0 - c) / phi
+        s, c = sincos(0.5 * phi)
+        return 2.0 * s * c / phi, 2.0 * s * s / phi
     z = phi * phi
     a = 1.0 - z / 6.0 * (1.0 - z / 20.0 * (1.0 - z / 42.0 * (1.0 - z / 72.0)))
     b = 0.5 * phi * (1.0 - z / 12.0 * (1.0 - z / 30.0 * (1.0 - z / 56.0 * (1.0 - z / 90.0))))

@@ -1,0 +1,153 @@
+"""Between two solves: what the frontier says of the newest sub-maps, against the dense joint."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from submaps.atlas.joining import join
+from submaps.atlas.placed import Placed
+from submaps.atlas.view import View
+from submaps.mapper import Mapper
+from submaps.submap import Submap
+from tests.core.support import ODOMETRY, Dense, atlas, chain, cut, dense_join, laps, random_covariance, submap
+
+Floats = NDArray[np.float64]
+both_filters = pytest.mark.parametrize("invariant", [True, False], ids=["invariant", "standard"])
+SMALL = 1e-4  # noise so small that linearisation does not count
+NEIGHBOURS = [[0, 1, 20], [1, 2, 3], [3, 2, 4, 21], [4, 5, 22], [5, 6, 4, 7], [7, 6, 23]]
+LOOP = [[0, 1, 20], [1, 2, 3], [3, 2, 0, 21], [4, 3, 1, 22], [5, 4, 30], [6, 5, 30, 31], [6, 31, 32]]
+
+
+def deviation(placed: Placed, k: int, dense: Dense) -> tuple[float, float]:
+    """Greatest difference of values and of covariances, in standard deviations."""
+    expected = dense.joint(k, placed.shared)
+    sigma = np.sqrt(np.diag(expected))
+    sigma[sigma == 0.0] = 1.0
+    points = [dense.landmarks[dense.numbers.index(i)] for i in placed.shared]
+    truth = np.concatenate([dense.frames[k], dense.frames[k + 1], *points])
+    values = np.concatenate([placed.frame, placed.end, placed.points.ravel()])
+    by_value = float(np.abs((values - truth) / sigma).max())
+    return by_value, float(np.abs((placed.covariance - expected) / np.outer(sigma, sigma)).max())
+
+
+@both_filters
+@pytest.mark.parametrize("count", [1, 2, 4, 6])
+def test_without_a_solve_ties_to_neighbours_give_the_joint(invariant: bool, count: int) -> None:
+    held = chain(NEIGHBOURS[:count], sigma=SMALL, seed=1, invariant=invariant)
+    placed = View(atlas(held)).placed(count - 1)
+    by_value, by_covariance = deviation(placed, count - 1, dense_join(held))
+    assert by_value < 2e-3
+    assert by_covariance < 2e-3
+
+
+def last_as_of_then(held: list[Submap], k: int, seed: int) -> Submap:
+    """Sub-map k while it was still active: fewer landmarks, another estimate."""
+    s = held[k]
+    count = max(1, len(s.landmarks) - 1)
+    rng = np.random.default_rng(seed)
+    rows = np.arange(3 + 2 * count)
+    P = random_covariance(rng, rows.shape[0], SMALL)
+    mean = s.mean[rows] + np.linalg.cholesky(P) @ rng.normal(size=rows.shape[0])
+    mean[:3] = s.mean[:3] * 0.6  # and half the way
+    return submap(k, s.landmarks[:count].tolist(), mean, P, invariant=s.invariant)
+
+
+@both_filters
+@pytest.mark.parametrize("solved_at", [0, 2, 4])
+def test_after_a_solve_nothing_is_lost_or_counted_twice(invariant: bool, solved_at: int) -> None:
+    """The solve took a half-done sub-map in; what it said then is taken out before what it says now."""
+    held = chain(LOOP, sigma=SMALL, seed=2, invariant=invariant)
+    if solved_at < 3:  # later ties to older sub-maps would have to wait for another solve
+        held = chain(NEIGHBOURS, sigma=SMALL, seed=2, invariant=invariant)
+    then = [*held[:solved_at], last_as_of_then(held, solved_at, 3)]
+    solution = join(atlas(then))
+    for count in {solved_at + 1, solved_at + 2, len(held)}:
+        now = [*held[: count - 1], replace(held[count - 1], following=-1)]
+        view = View(replace(atlas(now), solution=solution))
+        by_value, by_covariance = deviation(view.placed(count - 1), count - 1, dense_join(now))
+        assert by_value < 5e-3
+        assert by_covariance < 5e-3
+
+
+@both_filters
+def test_ties_to_older_submaps_wait_and_are_never_invented(invariant: bool) -> None:
+    """Less is used than there is: the covariance is nowhere below the full joint's."""
+    held = chain(LOOP, sigma=SMALL, seed=4, invariant=invariant)
+    for solved_at in (None, 1, 2):
+        solution = None if solved_at is None else join(atlas([*held[:solved_at], last_as_of_then(held, solved_at, 5)]))
+        for k in {2 if solved_at is None else solved_at, 3, 6}:
+            now = [*held[:k], replace(held[k], following=-1)]
+            placed = View(replace(atlas(now), solution=solution)).placed(k)
+            free = 0 if k else 3
+            full = dense_join(now).joint(k, placed.shared)[free:, free:]
+            scale = np.sqrt(np.diag(full))
+            more = (placed.covariance[free:, free:] - full) / np.outer(scale, scale)
+            assert float(np.linalg.eigvalsh(0.5 * (more + more.T))[0]) > -1e-3
+            if k >= 3 and solved_at is None:
+                assert float(np.diag(more).max()) > 1e-2  # and the loop is indeed left out
+
+
+@both_filters
+def test_just_after_a_solve_it_is_the_solution(invariant: bool) -> None:
+    whole = laps(24, seed=3)
+    name = "invariant" if invariant else "standard"
+    mapper = Mapper(replace(ODOMETRY, max_landmarks=6, filter=name))  # type: ignore[arg-type]
+    mapper.apply("a", cut(whole, 0, 61))
+    solution = join(mapper.problem())
+    mapper.install(solution)
+    view = mapper.view()
+    last = view.submap_count - 1
+    assert last > 4
+    for k in range(view.submap_count):
+        placed, own = view.placed(k), solution.placed(k)
+        assert placed.frame == own.frame
+        assert np.array_equal(placed.covariance, own.covariance)
+        assert view.frame_in(k, "map") == tuple(solution.frames[k])
+    pose = view.pose("a")
+    assert (pose.x, pose.y, pose.theta) == tuple(solution.ends[0])
+    assert np.array_equal(pose.covariance, solution.placed(last).end_covariance)
+    # A step that brings nothing new hardly moves it.
+    mapper.apply("a", cut(whole, 61, 62))
+    later = mapper.view().pose("a")
+    assert np.allclose(later.covariance, pose.covariance, rtol=0.5)
+
+
+def test_a_solve_that_comes_late_joins_what_happened_meanwhile() -> None:
+    """Ingest goes on while a solve runs; installed late, the active sub-map continues from it."""
+    whole = laps(24, seed=5)
+    mapper = Mapper(replace(ODOMETRY, max_landmarks=6))
+    mapper.apply("a", cut(whole, 0, 50))
+    late = join(mapper.problem())
+    mapper.apply("a", cut(whole, 50, whole.steps))
+    before = mapper.view()
+    mapper.install(late)
+    view = mapper.view()
+    assert view.version == before.version + 1
+    assert view.submap_count > late.base.submap_count
+    pose = view.pose("a")
+    np.linalg.cholesky(pose.covariance)
+    mapper.install(join(mapper.problem()))
+    best = mapper.view().pose("a")
+    assert np.linalg.det(pose.covariance) > np.linalg.det(best.covariance)
+    error = np.array([pose.x - best.x, pose.y - best.y, pose.theta - best.theta])
+    error[2] = np.remainder(error[2] + np.pi, 2.0 * np.pi) - np.pi
+    assert float(error @ np.linalg.solve(pose.covariance, error)) < 16.3  # chi-square, 3 dof, 0.999
+
+
+def test_map_to_odom_takes_dead_reckoning_to_the_estimate() -> None:
+    mapper = Mapper(replace(ODOMETRY, max_landmarks=6))
+    mapper.apply("a", laps(24, seed=6))
+    mapper.install(join(mapper.problem()))
+    view = mapper.view()
+    best, odom = view.pose("a"), view.pose("a", "odom")
+    assert best.map_T_odom is not None
+    x, y, theta = best.map_T_odom
+    c, s = np.cos(theta), np.sin(theta)
+    assert (x + c * odom.x - s * odom.y, y + s * odom.x + c * odom.y) == pytest.approx((best.x, best.y), abs=1e-9)
+    assert np.cos(theta + odom.theta - best.theta) == pytest.approx(1.0)
+    assert odom.kind == "dead_reckoning"
+    assert best.kind == "joined"
