@@ -1,7 +1,11 @@
 """Durable ingest through HTTP against the same batches applied in process.
 
-Victoria Park in column batches of 1 000 observations, into one new map after another: by one
-client that waits for each acknowledgement, then by several at once, each with maps of its own.
+Column batches of 1 000 observations, into one new map after another: by one client that waits for
+each acknowledgement, then by several at once, each with maps of its own. Two loads: a hall of fifty
+landmarks, ten in view, which fills a sub-map to the size that the kernel's budget is stated for;
+and Victoria Park, with seven landmarks to a sub-map and two steps to an observation, where the
+filter has so little to do that JSON, HTTP and the sync dominate.
+
 Rates are observations by wall-clock time. The bodies are encoded beforehand; the service is a
 process of its own, on the same machine, and solves each map's atlas meanwhile as it does for
 anyone. In process, ``Mapper.apply`` takes the same decoded batches, and nothing is solved.
@@ -18,14 +22,16 @@ from concurrent.futures import ThreadPoolExecutor
 from urllib.parse import urlsplit
 
 import httpx
+import numpy as np
 import orjson
 
 from benchmarks.common import verdict
 from service.client import COLUMNS, Client, columns
 from service.datasets import VICTORIA_PARK, Dataset, read_source
 from service.standalone import own_service
-from submaps.config import MapConfig
+from submaps.config import MapConfig, MotionConfig, ObservationConfig
 from submaps.mapper import Mapper
+from submaps.simulation import World, drive
 
 
 def in_process(run: Dataset) -> float:
@@ -76,25 +82,42 @@ def syncs(url: str) -> int:
     return int(found[1])
 
 
+def hall(steps: int = 1000) -> Dataset:
+    """Rounds of 5 m radius in a hall of fifty landmarks, about ten of them within 7 m of the robot."""
+    rng = np.random.default_rng(1)
+    angle, distance = rng.uniform(0.0, 2.0 * np.pi, 50), 13.0 * np.sqrt(rng.uniform(size=50))
+    landmarks = np.stack([distance * np.cos(angle), 5.0 + distance * np.sin(angle)], axis=1)
+    motion, sigma = (0.02, 0.002), 0.05
+    world = World(landmarks, np.tile([1.0, 0.2], (steps, 1)), 1.0, 7.0, 1, motion, sigma)
+    run = drive(world, rng)
+    return Dataset("hall", MotionConfig("velocity", motion), ObservationConfig("cartesian", (sigma, sigma)), run.batch)
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Durable ingest through HTTP against the same batches in process.")
     parser.add_argument("--maps", type=int, default=12, help="maps filled in each measurement")
     parser.add_argument("--clients", type=int, default=4, help="clients at once")
     options = parser.parse_args()
-    run = read_source(VICTORIA_PARK)
+    for run in (hall(), read_source(VICTORIA_PARK)):
+        measure(run, options.maps, options.clients)
+
+
+def measure(run: Dataset, maps: int, clients: int) -> None:
     bodies = [
         orjson.dumps(columns(k, batch), option=orjson.OPT_SERIALIZE_NUMPY)
         for k, batch in enumerate(run.batches(), start=1)
     ]
-    print(f"{len(bodies)} batches a map, {sum(map(len, bodies)) / run.columns.observations:.0f} bytes an observation")
+    size = sum(map(len, bodies)) / run.columns.observations
+    steps = run.columns.steps / run.columns.observations
+    print(f"{run.name}: {len(bodies)} batches a map, {steps:.1f} steps and {size:.0f} bytes an observation")
     in_process(run)
     base = statistics.median(in_process(run) for _ in range(9))
-    print(f"in process: {base:,.0f} observations/s")
+    print(f"in process: {base:,.0f} observations/s, {1e6 / base:.2f} µs each")
     with own_service() as url:
         through_http(url, run, bodies, ["warm"], 1)
-        for clients in (1, options.clients):
-            names = [f"by{clients}-{k}" for k in range(options.maps)]
-            rate = through_http(url, run, bodies, names, clients)
+        for count in (1, clients):
+            names = [f"by{count}-{k}" for k in range(maps)]
+            rate = through_http(url, run, bodies, names, count)
             print("  " + verdict("in process by HTTP", base / rate, 2.0, "{:.2f} x".format))
 
 

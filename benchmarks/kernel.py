@@ -54,7 +54,7 @@ def _update(x: Floats, P: Floats, n: int, z: Floats, scratch: Floats, predicted:
 def prepare(landmarks: int) -> tuple[ActiveSubmap, Floats]:
     """A sub-map with a dense covariance, and readings of its landmarks that fit it."""
     rng = np.random.default_rng(1)
-    submap = ActiveSubmap(0, 0, -1, 0.0, landmarks)
+    submap = ActiveSubmap(0, 0, 0.0, landmarks)
     n = 3 + 2 * landmarks
     submap.x[3:n] = rng.normal(size=2 * landmarks) * 20.0
     root = rng.normal(size=(n, n)) * 0.1

@@ -17,18 +17,21 @@ from submaps.atlas.state import AtlasState, RobotState
 from submaps.atlas.view import View
 from submaps.config import MapConfig
 from submaps.consistency import chi_square_bound
-from submaps.filtering import kernel
-from submaps.filtering import walk as columns
+from submaps.filtering import kernel, layout
+from submaps.filtering.closing import Shelf
+from submaps.filtering.walk import walk
 from submaps.geometry.trig import sincos
 from submaps.measurements import Batch, Floats, Ints, Rejection, Report
 from submaps.motion.increments import dead_reckon, increments
 from submaps.observation.models import MODELS
-from submaps.submap import ActiveSubmap
+from submaps.submap import ActiveSubmap, Submap
 
 FLAG_PROBABILITY = 0.9999
 # Sub-maps that only extend the solution may wait this long for the next solve.
 PENDING_EXTENSIONS = 8
 _FIRST_CAPACITY = 50
+# Room for sub-maps that close within one walk, before it has to come back.
+_SHELF_SUBMAPS, _SHELF_REALS = 256, 1 << 15
 _REASONS = {kernel.GATED: "gate", kernel.SINGULAR: "singular", kernel.FLAGGED: "unlikely"}
 
 
@@ -43,7 +46,7 @@ class _Robot:
         self.t: float | None = None
         self.odom = np.zeros(3)
         self.odom_covariance = np.zeros((3, 3))
-        self.closed_counts = np.zeros(columns.COUNTS, dtype=np.int64)
+        self.closed_counts = np.zeros(3, dtype=np.int64)  # steps, observations, rejected
 
 
 class Mapper:
@@ -64,6 +67,7 @@ class Mapper:
         self._slot_of = np.full(256, -1, dtype=np.int32)
         self._last_seen = np.full(256, -1, dtype=np.int32)
         self._slots_of: ActiveSubmap | None = None
+        self._shelf = Shelf(_SHELF_SUBMAPS, _SHELF_REALS)
         self._state = AtlasState.empty(config)
         self._changed: set[str] = set()
 
@@ -78,21 +82,26 @@ class Mapper:
         nis = np.empty(batch.observations)
         status = np.zeros(batch.observations, dtype=np.uint8)
         track = np.empty((batch.steps, 3))
-        track_submap = np.empty(batch.steps, dtype=np.int32)
-        event, step, resumed = columns.GENESIS, 0, False
-        while event != columns.DONE:
+        track_submap, chapter = np.empty((2, batch.steps), dtype=np.int32)
+        shelf = self._shelf
+        event, step, resumed = layout.GENESIS, 0, False
+        while event != layout.DONE:
             s, begin = r.active, step
             self._lend_slots(s)
-            event, step = columns.walk(
+            event, step = walk(
                 step, resumed, steps, noises, batch.control_step, batch.observation_step, landmark, batch.z, R,
                 self._whole, self._real, s.x, s.P, s.ids, s.counts, s.motion, self._slot_of, s.scratch,
-                nis, status, track, batch.steps,
+                nis, status, track, chapter, shelf.whole, shelf.reals, shelf.ids, shelf.fill,
             )  # fmt: skip
-            track_submap[begin:step] = s.number
+            numbers = [s.number]
+            for closed in s.closed(shelf, self._invariant, batch.t, iter(self._next_number, None)):
+                self._file(r, closed)
+                numbers.append(closed.following)
+            track_submap[begin:step] = np.array(numbers, dtype=np.int32)[chapter[begin:step]]
             resumed = True
-            if event == columns.GENESIS:
-                self._begin_next(r, float(batch.t[step]))
-            elif event == columns.GROW:
+            if event == layout.GENESIS and len(numbers) == 1:
+                shelf = self._shelf = shelf.twice()
+            elif event == layout.GROW:
                 s.grow(int(np.count_nonzero(batch.observation_step == step)) + s.landmark_count)
         r.t = float(batch.t[-1])
         self._changed.add(robot)
@@ -123,7 +132,7 @@ class Mapper:
     def _new_robot(self, name: str, t: float) -> _Robot:
         number = len(self._robots)
         capacity = min(self.config.max_landmarks, _FIRST_CAPACITY)
-        robot = _Robot(number, name, ActiveSubmap(self._next_number(), number, -1, t, capacity))
+        robot = _Robot(number, name, ActiveSubmap(self._next_number(), number, t, capacity))
         self._robots[name] = robot
         return robot
 
@@ -132,22 +141,17 @@ class Mapper:
         self._state.records.append(None)
         return len(self._state.records) - 1
 
-    def _begin_next(self, r: _Robot, t: float) -> None:
-        """Close the robot's sub-map at its present pose and begin the next one there."""
-        active, state = r.active, self._state
-        active.predict(self._invariant)
-        number = self._next_number()
-        closed = active.snapshot(t, self._invariant, following=number)
+    def _file(self, r: _Robot, closed: Submap) -> None:
+        """Put a sub-map that has closed among the records."""
+        state = self._state
         state.records[closed.number] = closed
         self._closed_bytes += closed.nbytes
-        r.closed_counts += active.counts
+        r.closed_counts += (closed.steps, closed.observations, closed.rejected)
         held = closed.landmarks.tolist()
         for landmark in held:
             state.sightings[landmark].append(closed.number)
         seen = self._last_seen[held].tolist()
         self._last_seen[held] = closed.number
-        self._slot_of[held] = -1
-        active.begin(number, closed.number, t)
         self._pending += 1
         ties_to_older = any(k not in (-1, closed.previous) for k in seen)
         self.solve_due |= ties_to_older or self._pending >= PENDING_EXTENSIONS
@@ -216,12 +220,12 @@ def _one_each(covariance: Floats) -> Floats:
 
 
 def _robot_state(r: _Robot) -> RobotState:
-    counts = r.closed_counts + r.active.counts
+    own = [layout.STEPS, layout.OBSERVATIONS, layout.REJECTED]
+    steps, observations, rejected = (r.closed_counts + r.active.counts[own]).tolist()
     x, y, theta = r.odom
     return RobotState(
         id=r.name, number=r.number, first=r.first, submap=r.active.number, t=r.t or 0.0,
-        steps=int(counts[columns.STEPS]), observations=int(counts[columns.OBSERVATIONS]),
-        rejected=int(counts[columns.REJECTED]), pose=r.active.pose,
+        steps=steps, observations=observations, rejected=rejected, pose=r.active.pose,
         odom=(float(x), float(y), float(theta)), odom_covariance=r.odom_covariance.copy(),
     )  # fmt: skip
 

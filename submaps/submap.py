@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,37 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
-from submaps.filtering import walk as columns
+from submaps.filtering import layout
+from submaps.filtering.closing import CLOSED, STEP, Shelf, flush, pack
 from submaps.geometry.se2 import Pose, compose
 
 Floats = NDArray[np.float64]
-
-# A parked or slip-free vehicle leaves the pose's covariance singular, and a factor needs all of its
-# pivots. The heading's floor is the smaller: its error grows with a landmark's distance.
-POSITION_FLOOR_M = 1e-4
-HEADING_FLOOR_RAD = 2e-7
-
-
-@jit("void(float64[:, ::1], int64, float64[::1])")
-def _pack(P: Floats, n: int, out: Floats) -> None:
-    k = 0
-    for i in range(n):
-        for j in range(i + 1):
-            out[k] = P[i, j]
-            k += 1
-
-
-@jit("void(float64[::1])")
-def _raise_pivots(packed: Floats) -> None:
-    """Raise the pose's variances so that its pivots, taken in the order theta, x, y, reach the floors."""
-    xx, xy, yy, xt, yt, tt = packed[0], packed[1], packed[2], packed[3], packed[4], packed[5]
-    tt = max(tt, HEADING_FLOOR_RAD**2)
-    rest = xx - xt * xt / tt
-    xx += max(POSITION_FLOOR_M**2 - rest, 0.0)
-    rest = xx - xt * xt / tt
-    mixed = xy - xt * yt / tt
-    yy += max(POSITION_FLOOR_M**2 - (yy - yt * yt / tt - mixed * mixed / rest), 0.0)
-    packed[0], packed[2], packed[5] = xx, yy, tt
 
 
 @jit("float64[:, ::1](float64[::1], int64[::1])")
@@ -127,30 +102,18 @@ def _aligned(rows: int, columns: int) -> Floats:
 class ActiveSubmap:
     """The arrays of the sub-map that a robot is in; ``filtering.walk`` changes them in place.
 
-    A robot keeps one for life: when a sub-map has closed, ``begin`` starts the next in its arrays.
+    A robot keeps one for life: when a sub-map has closed, the next begins in the same arrays.
     """
 
-    def __init__(self, number: int, robot: int, previous: int, began: float, landmarks: int) -> None:
-        self.robot = robot
-        self.counts = np.zeros(columns.COUNTS, dtype=np.int64)
-        self.motion = np.zeros(columns.MOTION)
-        self._allocate(3 + 2 * landmarks)
-        self.begin(number, previous, began)
-
-    def begin(self, number: int, previous: int, began: float) -> None:
-        """Start sub-map ``number`` at its origin, with nothing in it.
-
-        Beyond the state's dimension the arrays may hold what was there: ``augment`` writes a
-        landmark's rows and columns whole.
-        """
+    def __init__(self, number: int, robot: int, began: float, landmarks: int) -> None:
         self.number = number
-        self.previous = previous
+        self.robot = robot
+        self.previous = -1
         self.began = began
-        self.counts[:] = 0
-        self.counts[columns.DIM] = 3
-        self.motion[:] = 0.0
-        self.x[:3] = 0.0
-        self.P[:3, :3] = 0.0
+        self.counts = np.zeros(layout.COUNTS, dtype=np.int64)
+        self.counts[layout.DIM] = 3
+        self.motion = np.zeros(layout.MOTION)
+        self._allocate(3 + 2 * landmarks)
 
     def _allocate(self, dimension: int) -> None:
         rows = -(-dimension // 8) * 8
@@ -169,7 +132,7 @@ class ActiveSubmap:
     @property
     def dimension(self) -> int:
         """Entries of the state."""
-        return int(self.counts[columns.DIM])
+        return int(self.counts[layout.DIM])
 
     @property
     def pose(self) -> Pose:
@@ -182,28 +145,45 @@ class ActiveSubmap:
         """How many landmarks it holds."""
         return (self.dimension - 3) // 2
 
-    def predict(self, invariant: bool) -> None:
-        """Take the pending increment into the state."""
-        if self.motion[: columns.NIS_SUM].any():
-            columns.flush(self.x, self.P, self.counts, self.motion, invariant, self.scratch)
-
-    def snapshot(self, ended: float, invariant: bool, following: int = -1) -> Submap:
+    def snapshot(self, ended: float, invariant: bool) -> Submap:
         """What it says now, with the pending increment taken in; its own arrays stay as they are.
 
         Where the pose's covariance is singular, its missing variance is raised to a floor.
         """
-        n, counts, x, P, motion = self.dimension, self.counts, self.x, self.P, self.motion
-        if motion[: columns.NIS_SUM].any():
+        n, x, P, motion = self.dimension, self.x, self.P, self.motion
+        if motion[: layout.NIS_SUM].any():
             x, P, motion = x.copy(), P.copy(), motion.copy()
-            columns.flush(x, P, counts, motion, invariant, self.scratch)
+            flush(x, P, self.counts, motion, invariant, self.scratch)
         packed = np.empty(n * (n + 1) // 2)
-        _pack(P, n, packed)
-        _raise_pivots(packed)
+        pack(P, n, packed)
+        nis = float(motion[layout.NIS_SUM]), int(motion[layout.NIS_COUNT])
+        landmarks = self.ids[: self.landmark_count].astype(np.int32)
+        return self.as_submap(ended, invariant, -1, self.counts.tolist(), nis, landmarks, x[:n].copy(), packed)
+
+    def as_submap(
+        self, ended: float, invariant: bool, following: int, counts: list[int], nis: tuple[float, int],
+        landmarks: NDArray[np.int32], mean: Floats, packed: Floats,
+    ) -> Submap:  # fmt: skip
+        """A record of the sub-map that these arrays were those of."""
         return Submap(
             number=self.number, robot=self.robot, previous=self.previous, following=following,
-            began=self.began, ended=ended, steps=int(counts[columns.STEPS]),
-            observed_steps=int(counts[columns.OBSERVED]), observations=int(counts[columns.OBSERVATIONS]),
-            rejected=int(counts[columns.REJECTED]), nis_sum=float(motion[columns.NIS_SUM]),
-            nis_count=int(motion[columns.NIS_COUNT]), invariant=invariant,
-            landmarks=self.ids[: self.landmark_count].astype(np.int32), mean=x[:n].copy(), packed=packed,
+            began=self.began, ended=ended, steps=counts[layout.STEPS], observed_steps=counts[layout.OBSERVED],
+            observations=counts[layout.OBSERVATIONS], rejected=counts[layout.REJECTED],
+            nis_sum=nis[0], nis_count=nis[1], invariant=invariant, landmarks=landmarks, mean=mean, packed=packed,
         )  # fmt: skip
+
+    def closed(self, shelf: Shelf, invariant: bool, t: Floats, following: Iterator[int]) -> Iterator[Submap]:
+        """Take the sub-maps off the shelf, in order; each makes this the one that follows it."""
+        at = first = 0
+        for row in range(int(shelf.fill[CLOSED])):
+            counts = shelf.whole[row].tolist()
+            n = counts[layout.DIM]
+            end, last = at + n + n * (n + 1) // 2, first + (n - 3) // 2
+            mean, packed = shelf.reals[at : at + n].copy(), shelf.reals[at + n : end].copy()
+            nis = float(shelf.reals[end]), int(shelf.reals[end + 1])
+            landmarks = shelf.ids[first:last].astype(np.int32)
+            ended, number = float(t[counts[STEP]]), next(following)
+            yield self.as_submap(ended, invariant, number, counts, nis, landmarks, mean, packed)
+            self.previous, self.number, self.began = self.number, number, ended
+            at, first = end + 2, last
+        shelf.clear()

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
+from submaps.filtering.closing import CLOSED, close, predict
 from submaps.filtering.kernel import (
     FIRST,
     GATED,
@@ -15,46 +16,34 @@ from submaps.filtering.kernel import (
     accumulate,
     add_rank_one,
     augment,
-    predict_invariant,
-    predict_standard,
     update,
+)
+from submaps.filtering.layout import (
+    DIM,
+    DONE,
+    FLAG,
+    GATE,
+    GENESIS,
+    GROW,
+    INVARIANT,
+    MAX_HEADING_VARIANCE,
+    MAX_LANDMARKS,
+    MAX_POSITION_VARIANCE,
+    MIN_OBSERVED,
+    MODEL,
+    MOUNT,
+    NIS_COUNT,
+    NIS_SUM,
+    NOISE,
+    OBSERVATIONS,
+    OBSERVED,
+    REJECTED,
+    STEPS,
 )
 from submaps.geometry.trig import sincos, wrap
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-# What the walk comes back for.
-DONE, GENESIS, GROW = 0, 1, 2
-# Places in a sub-map's ``counts``: state dimension, steps with observations, steps, observations
-# used, observations rejected.
-DIM, OBSERVED, STEPS, OBSERVATIONS, REJECTED, COUNTS = 0, 1, 2, 3, 4, 5
-# Places in ``motion``: pending increment (3), its covariance (9, row order), sum of NIS, and the
-# number of observations that it sums.
-NOISE, NIS_SUM, NIS_COUNT, MOTION = 3, 12, 13, 14
-# Places in the integer and real settings.
-MODEL, INVARIANT, MAX_LANDMARKS, MIN_OBSERVED = 0, 1, 2, 3
-MOUNT, GATE, FLAG, MAX_HEADING_VARIANCE, MAX_POSITION_VARIANCE = 0, 4, 5, 6, 7
-
-
-@jit()
-def _predict(x: Floats, P: Floats, n: int, motion: Floats, invariant: int, u: Floats) -> bool:
-    noise = motion[NOISE : NOISE + 9].reshape(3, 3)
-    has_u = False
-    if invariant:
-        has_u = predict_invariant(x, P, n, motion[:3], noise, u)
-    else:
-        predict_standard(x, P, n, motion[:3], noise)
-    motion[:NIS_SUM] = 0.0
-    return has_u
-
-
-@jit("void(float64[::1], float64[:, ::1], int64[::1], float64[::1], int64, float64[:, ::1])")
-def flush(x: Floats, P: Floats, counts: Ints, motion: Floats, invariant: int, scratch: Floats) -> None:
-    """Predict with the pending increment and clear it, on x, P and ``motion`` in place."""
-    has_u = _predict(x, P, counts[DIM], motion, invariant, scratch[0])
-    if has_u:
-        add_rank_one(P, counts[DIM], scratch[0])
 
 
 @jit()
@@ -112,7 +101,7 @@ def _observe(
     u, a, b = scratch[0], scratch[1], scratch[2]
     mount = real[MOUNT : MOUNT + 4]
     model, invariant = whole[MODEL], whole[INVARIANT] != 0
-    has_u = _predict(x, P, counts[DIM], motion, whole[INVARIANT], u)
+    has_u = predict(x, P, counts[DIM], motion, whole[INVARIANT], u)
     for o in range(begin, end):
         n = counts[DIM]
         slot = slot_of[landmark[o]]
@@ -149,25 +138,29 @@ def _observe(
 @jit(
     "UniTuple(int64, 2)(int64, boolean, float64[:, ::1], float64[:, :, ::1], int64[::1], int64[::1], int64[::1],"
     "float64[:, ::1], float64[:, :, ::1], int64[::1], float64[::1], float64[::1], float64[:, ::1], int64[::1],"
-    "int64[::1], float64[::1], int32[::1], float64[:, ::1], float64[::1], uint8[::1], float64[:, ::1], int64)"
+    "int64[::1], float64[::1], int32[::1], float64[:, ::1], float64[::1], uint8[::1], float64[:, ::1], int32[::1],"
+    "int64[:, ::1], float64[::1], int64[::1], int64[::1])"
 )
 def walk(
     step: int, resumed: bool, increments: Floats, noises: Floats, control_step: Ints, observation_step: Ints,
     landmark: Ints, z: Floats, R: Floats, whole: Ints, real: Floats, x: Floats, P: Floats, ids: Ints,
     counts: Ints, motion: Floats, slot_of: NDArray[np.int32], scratch: Floats, nis: Floats,
-    status: NDArray[np.uint8], track: Floats, steps: int,
+    status: NDArray[np.uint8], track: Floats, chapter: NDArray[np.int32],
+    shelf_whole: Ints, shelf_reals: Floats, shelf_ids: Ints, fill: Ints,
 ) -> tuple[int, int]:  # fmt: skip
-    """Apply steps ``step`` .. ``steps`` - 1 to one sub-map, as far as it goes; (event, step).
+    """Apply the steps from ``step`` on to the active sub-map and those that follow it; (event, step).
 
     ``resumed`` says that the first step's control has been taken already. ``R`` holds one
     covariance for all observations or one for each. Writes each observation's ``status`` and
-    ``nis``, and ``track``, the pose after each step. Events: DONE; GENESIS, before a step's
-    observations, which belong to the next sub-map; GROW, where the arrays are too small for them.
+    ``nis``, and for each step the pose after it in ``track`` and, in ``chapter``, how many sub-maps
+    had been put on the shelf (``filtering.closing``) before. Events: DONE; GENESIS, where the shelf
+    has no room for a sub-map that must close before this step's observations; GROW, where the
+    state's arrays are too small for them.
     """
     noise = motion[NOISE : NOISE + 9].reshape(3, 3)
     c = int(np.searchsorted(control_step, step + (1 if resumed else 0)))
     i = int(np.searchsorted(observation_step, step))
-    while step < steps:
+    while step < track.shape[0]:
         if not resumed and c < control_step.shape[0] and control_step[c] == step:
             accumulate(motion[:3], noise, increments[c], noises[c])
             c += 1
@@ -178,7 +171,12 @@ def walk(
         if end > i:
             new = _new_landmarks(landmark, slot_of, i, end)
             if _wants_genesis(new, x, P, counts, motion, whole, real):
-                return GENESIS, step
+                if not close(
+                    step, x, P, ids, counts, motion, whole[INVARIANT], slot_of, scratch,
+                    shelf_whole, shelf_reals, shelf_ids, fill,
+                ):  # fmt: skip
+                    return GENESIS, step
+                new = _new_landmarks(landmark, slot_of, i, end)
             if counts[DIM] + 2 * new > P.shape[0]:
                 return GROW, step
             _observe(i, end, landmark, z, R, whole, real, x, P, ids, counts, motion, slot_of, scratch, nis, status)
@@ -188,5 +186,6 @@ def walk(
         track[step, 0] = x[0] + cosine * motion[0] - sine * motion[1]
         track[step, 1] = x[1] + sine * motion[0] + cosine * motion[1]
         track[step, 2] = wrap(x[2] + motion[2])
+        chapter[step] = fill[CLOSED]
         step += 1
     return DONE, step

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from submaps.atlas.state import AtlasState, RobotState
 from submaps.config import MapConfig, MotionConfig, ObservationConfig
 from submaps.consistency import chi_square_bound
-from submaps.filtering.walk import DIM, DONE, walk
+from submaps.filtering.closing import Shelf, flush
+from submaps.filtering.layout import DIM, DONE
+from submaps.filtering.walk import walk
 from submaps.measurements import Batch
 from submaps.observation.models import MODELS
 from submaps.submap import ActiveSubmap, Submap
@@ -172,7 +174,7 @@ class Kernel:
     """One sub-map driven through the compiled walk, step by step, without genesis."""
 
     def __init__(self, invariant: bool, model: str, gate: float = math.inf, mount: tuple[float, ...] = MOUNT) -> None:
-        self.submap = ActiveSubmap(0, 0, -1, 0.0, 40)
+        self.submap = ActiveSubmap(0, 0, 0.0, 40)
         self.invariant = invariant
         self._slots = np.full(64, -1, dtype=np.int32)
         self._whole = np.array([MODELS[model], int(invariant), 1000, 1], dtype=np.int64)
@@ -194,15 +196,21 @@ class Kernel:
         controls = 0 if increment is None else 1
         status, nis = np.full(count, 99, dtype=np.uint8), np.empty(count)
         z = np.ascontiguousarray(np.array([z for _, z in sightings]).reshape(-1, 2).T)
+        shelf = Shelf(1, 1)
         event, after = walk(
             0, False, np.zeros((controls, 3)) + (0.0 if increment is None else increment),
             np.zeros((controls, 3, 3)) + (0.0 if noise is None else noise), np.zeros(controls, dtype=np.int64),
             np.zeros(count, dtype=np.int64), np.array([i for i, _ in sightings], dtype=np.int64), z, R[np.newaxis],
             self._whole, self._real, s.x, s.P, s.ids, s.counts, s.motion, self._slots, s.scratch, nis, status,
-            np.empty((1, 3)), 1,
+            np.empty((1, 3)), np.empty(1, dtype=np.int32), shelf.whole, shelf.reals, shelf.ids, shelf.fill,
         )  # fmt: skip
         assert (event, after) == (DONE, 1)
         return [int(v) for v in status], [float(v) for v in nis]
+
+    def predict(self, invariant: bool) -> None:
+        """Take the pending increment into the state."""
+        s = self.submap
+        flush(s.x, s.P, s.counts, s.motion, invariant, s.scratch)
 
     @property
     def x(self) -> Floats:

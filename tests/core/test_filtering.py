@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from submaps.consistency import chi_square_bound
 from submaps.filtering import kernel
-from submaps.filtering.walk import OBSERVATIONS, REJECTED
+from submaps.filtering.layout import OBSERVATIONS, REJECTED
 from submaps.observation.models import MODELS
 from tests.core.support import MOUNT, DenseFilter, Kernel, random_covariance, seen, wrapped
 
@@ -54,7 +54,7 @@ def test_prediction(invariant: bool, seed: int) -> None:
     compiled, dense = pair(invariant, "cartesian", seed)
     increment, noise = rng.normal(size=3), random_covariance(rng, 3, 0.1)
     compiled.step(increment, noise, [], np.eye(2))
-    compiled.submap.predict(invariant)
+    compiled.predict(invariant)
     dense.predict(increment, noise)
     assert_equal(compiled, dense)
 
@@ -65,7 +65,7 @@ def test_prediction_with_a_heading_known_for_certain(invariant: bool) -> None:
     noise = np.zeros((3, 3))
     noise[:2, :2] = random_covariance(np.random.default_rng(5), 2, 0.1)
     compiled.step(np.array([1.0, 0.2, 0.3]), noise, [], np.eye(2))
-    compiled.submap.predict(invariant)
+    compiled.predict(invariant)
     dense.predict(np.array([1.0, 0.2, 0.3]), noise)
     assert_equal(compiled, dense)
 
@@ -150,7 +150,7 @@ def test_a_gated_reading_leaves_the_state_alone(invariant: bool, model: str) -> 
     gated.set(x, P)
     increment, noise = np.array([0.1, 0.0, 0.05]), np.diag([1e-4, 1e-4, 1e-5])
     quiet.step(increment, noise, [], np.eye(2) * 0.01)
-    quiet.submap.predict(invariant)
+    quiet.predict(invariant)
     status, nis = gated.step(increment, noise, [(0, far)], np.eye(2) * 0.01)
     assert status == [kernel.GATED]
     assert nis[0] > 9.21

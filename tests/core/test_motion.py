@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from submaps.config import MotionConfig
-from submaps.filtering.walk import flush
+from submaps.filtering.closing import flush
 from submaps.motion.increments import dead_reckon, increments
 from submaps.submap import ActiveSubmap
 from tests.core.support import Step, after, batch, jacobian, random_covariance
@@ -118,7 +118,7 @@ def test_dead_reckoning_composes_poses_and_their_errors() -> None:
 def generic(rng: np.random.Generator, landmarks: int) -> ActiveSubmap:
     """A sub-map in a generic state, its covariance full."""
     n = 3 + 2 * landmarks
-    s = ActiveSubmap(0, 0, -1, 0.0, landmarks)
+    s = ActiveSubmap(0, 0, 0.0, landmarks)
     s.counts[0] = n
     s.x[:n] = rng.normal(size=n) * 5.0
     s.P[:n, :n] = random_covariance(rng, n, 0.1)
