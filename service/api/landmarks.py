@@ -8,7 +8,6 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Request, Response
 from fastapi import Query as QueryParameters
 from pydantic import Field
-from submaps.atlas.view import LandmarkEstimate
 
 from service.api.common import (
     MAP_FRAME,
@@ -23,6 +22,7 @@ from service.api.common import (
 )
 from service.problems import invalid
 from service.wire.answers import LandmarkAnswer, LandmarkList
+from submaps.atlas.view import LandmarkEstimate
 
 router = APIRouter(prefix="/v1/maps/{map}/landmarks", tags=["landmarks"])
 
