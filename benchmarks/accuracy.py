@@ -10,6 +10,7 @@ median, over the landmarks, of the tangential sigma by the distance from the fir
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from service.client import Client
 from service.datasets import VICTORIA_PARK, Dataset, read_source
 from service.replaying import map_name, replay
 from service.standalone import own_service
-from submaps.alignment import align
+from submaps.alignment import Alignment, align
 from submaps.atlas.joining import join
 from submaps.config import MapConfig
 from submaps.mapper import Mapper
@@ -61,17 +62,20 @@ def turn_about_origin(points: Floats, optimum: Floats, covariances: Floats) -> t
     return turn, float(np.sqrt(np.median(variance)))
 
 
-def with_bounds(run: Dataset, max_heading_sigma: float, min_observed_steps: int) -> tuple[Mapper, int]:
-    config = MapConfig(
-        run.motion, run.observation, max_heading_sigma=max_heading_sigma, min_observed_steps=min_observed_steps
-    )
+def joined(run: Dataset, config: MapConfig) -> Mapper:
     mapper = Mapper(config)
     for batch in run.batches():
         mapper.apply("robot", batch)
         if mapper.solve_due:
             mapper.install(join(mapper.problem()))
     mapper.install(join(mapper.problem()))
-    return mapper, mapper.view().counts()["submaps"]
+    return mapper
+
+
+def aligned(mapper: Mapper, optimum: Floats, names: list[str]) -> Alignment:
+    view = mapper.view()
+    at = [view.landmark(name, "map") for name in names]
+    return align(np.array([[one.x, one.y] for one in at]), optimum)
 
 
 def bounds(run: Dataset, optimum: Floats, names: list[str]) -> None:
@@ -79,12 +83,25 @@ def bounds(run: Dataset, optimum: Floats, names: list[str]) -> None:
     for by_sigma, by_steps in itertools.product(FACTORS, FACTORS):
         sigma = by_sigma * default.max_heading_sigma
         steps = max(round(by_steps * default.min_observed_steps), 1)
-        mapper, count = with_bounds(run, sigma, steps)
-        view = mapper.view()
-        at = [view.landmark(name, "map") for name in names]
-        rmse = align(np.array([[one.x, one.y] for one in at]), optimum).rmse
-        label = f"  {sigma:.3f} rad, {steps:2d} steps, {count:4d} sub-maps: landmark RMSE, aligned (m)"
-        print(verdict(label, rmse, 2.0 * BARS[Path(run.name).stem]))
+        mapper = joined(run, replace(default, max_heading_sigma=sigma, min_observed_steps=steps))
+        label = (
+            f"  {sigma:.3f} rad, {steps:2d} steps, {mapper.view().submap_count:4d} sub-maps: landmark RMSE, aligned (m)"
+        )
+        print(verdict(label, aligned(mapper, optimum, names).rmse, 2.0 * BARS[Path(run.name).stem]))
+
+
+def beside(run: Dataset, optimum: Floats, names: list[str]) -> None:
+    """What the design is up against: no bound on position, and one map for everything."""
+    default = MapConfig(run.motion, run.observation)
+    whole = replace(default, max_landmarks=1000, max_heading_sigma=1e9, max_position_sigma=1e9)
+    ways = {
+        "0.020 rad without the bound on position": replace(default, max_heading_sigma=0.02, max_position_sigma=1e9),
+        "one right-invariant map": whole,
+        "one standard EKF": replace(whole, filter="standard"),
+    }
+    for name, config in ways.items():
+        found = aligned(joined(run, config), optimum, names)
+        print(f"  beside, {name}: {found.rmse:.3f} m, as it comes {found.rmse_before:.3f} m")
 
 
 def main() -> None:
@@ -95,6 +112,7 @@ def main() -> None:
         optimum = np.array([landmarks[name] for name in names])
         through_http(run, optimum, names)
         bounds(run, optimum, names)
+        beside(run, optimum, names)
 
 
 if __name__ == "__main__":

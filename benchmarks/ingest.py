@@ -33,6 +33,8 @@ from submaps.config import MapConfig, MotionConfig, ObservationConfig
 from submaps.mapper import Mapper
 from submaps.simulation import World, drive
 
+ROUNDS = 7
+
 
 def in_process(run: Dataset) -> float:
     """Observations a second of one map."""
@@ -44,8 +46,8 @@ def in_process(run: Dataset) -> float:
     return run.columns.observations / (time.perf_counter() - began)
 
 
-def through_http(url: str, run: Dataset, bodies: list[bytes], maps: list[str], clients: int) -> float:
-    """Observations a second of all clients together, each filling its share of new maps in turn."""
+def through_http(url: str, run: Dataset, bodies: list[bytes], maps: list[str], clients: int) -> tuple[float, float]:
+    """Observations a second of all clients together, each with its share of new maps; syncs a batch."""
     with Client(url) as client:
         for name in maps:
             client.create_map(name, MapConfig(run.motion, run.observation))
@@ -58,8 +60,7 @@ def through_http(url: str, run: Dataset, bodies: list[bytes], maps: list[str], c
         seconds = time.perf_counter() - began
     rate = len(maps) * run.columns.observations / seconds
     a_batch = (syncs(url) - waits) / (len(maps) * len(bodies))
-    print(f"{clients} client{'s' * (clients > 1)}: {rate:,.0f} observations/s, {a_batch:.2f} syncs a batch")
-    return rate
+    return rate, a_batch
 
 
 def fill(url: str, bodies: list[bytes], maps: list[str]) -> None:
@@ -95,7 +96,7 @@ def hall(steps: int = 1000) -> Dataset:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Durable ingest through HTTP against the same batches in process.")
-    parser.add_argument("--maps", type=int, default=12, help="maps filled in each measurement")
+    parser.add_argument("--maps", type=int, default=4, help="maps filled in each round")
     parser.add_argument("--clients", type=int, default=4, help="clients at once")
     options = parser.parse_args()
     for run in (hall(), read_source(VICTORIA_PARK)):
@@ -110,15 +111,20 @@ def measure(run: Dataset, maps: int, clients: int) -> None:
     size = sum(map(len, bodies)) / run.columns.observations
     steps = run.columns.steps / run.columns.observations
     print(f"{run.name}: {len(bodies)} batches a map, {steps:.1f} steps and {size:.0f} bytes an observation")
-    in_process(run)
-    base = statistics.median(in_process(run) for _ in range(9))
-    print(f"in process: {base:,.0f} observations/s, {1e6 / base:.2f} µs each")
     with own_service() as url:
         through_http(url, run, bodies, ["warm"], 1)
+        in_process(run)
         for count in (1, clients):
-            names = [f"by{count}-{k}" for k in range(maps)]
-            rate = through_http(url, run, bodies, names, count)
-            print("  " + verdict("in process by HTTP", base / rate, 2.0, "{:.2f} x".format))
+            rounds = []
+            for k in range(ROUNDS):  # in turn, since the machine's speed drifts
+                base = statistics.median(in_process(run) for _ in range(3))
+                names = [f"by{count}-{k}-{m}" for m in range(maps)]
+                rate, a_batch = through_http(url, run, bodies, names, count)
+                rounds.append((base / rate, base, rate, a_batch))
+            ratio, base, rate, a_batch = (statistics.median(values) for values in zip(*rounds, strict=True))
+            print(f"  {count} at once: {rate:,.0f} observations/s, {a_batch:.2f} syncs a batch; ", end="")
+            print(f"in process {base:,.0f}, {1e6 / base:.2f} µs each")
+            print("    " + verdict("in process by HTTP", ratio, 2.0, "{:.2f} x".format))
 
 
 if __name__ == "__main__":

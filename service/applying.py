@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from service.acknowledgements import derive
-from service.hosted import Hosted, Pending, PendingChange, PendingSolve, Solve
+from service.hosted import Hosted, Pending, PendingBatch, PendingChange, PendingSolve, Solve
 from service.problems import Problem, not_found
 from service.runtime import Measured, Solved
 from service.store.base import BatchEvent, Derived, Journal, Outcome, SolveEvent
@@ -20,6 +20,8 @@ from submaps.atlas.state import AtlasState
 from submaps.measurements import Batch
 
 log = logging.getLogger(__name__)
+
+TOLD_AT_ONCE_BYTES = 8 * 1024  # of a batch: above, its sender does not wait for the rest of its group
 
 # What became of something: a result of its future's type, or an error to raise there.
 Result = tuple[asyncio.Future[Any], Any]
@@ -90,14 +92,29 @@ class Applier:
                 self._apply_group(work.tokens)
 
     def _apply_group(self, group: Sequence[Pending]) -> None:
+        """Apply a group, and tell of its parts: each ends with a batch that took its time to apply.
+
+        Told of all at once, clients with large batches would fall into step: all of them sending
+        while nothing is applied, then all of them waiting.
+        """
+        part: list[Pending] = []
+        for pending in group:
+            part.append(pending)
+            if isinstance(pending, PendingBatch) and len(pending.event.data) > TOLD_AT_ONCE_BYTES:
+                self._apply_part(part)
+                part = []
+        if part:
+            self._apply_part(part)
+
+    def _apply_part(self, part: Sequence[Pending]) -> None:
         kept: list[Derived] = []
-        results = [(pending.done, self._apply(pending, kept)) for pending in group]
-        for hosted in dict.fromkeys(pending.hosted for pending in group):
+        results = [(pending.done, self._apply(pending, kept)) for pending in part]
+        for hosted in dict.fromkeys(pending.hosted for pending in part):
             if not hosted.halted:
                 hosted.view = hosted.runtime.view()
         if kept:
             self._journal.derive(kept)
-        self._tell(results, group, None)
+        self._tell(results, part, None)
 
     def _apply(self, pending: Pending, kept: list[Derived]) -> Any:
         """Return what became of one entry: its result, or the ``Problem`` to answer with."""
