@@ -96,8 +96,8 @@ def _dress(axes: Axes, atlas: Atlas, low: Floats, high: Floats) -> None:
     for side in axes.spines.values():
         side.set(color=FAINT, alpha=0.5)
     counts = atlas.counts
-    told = [f"{counts[name]:,} {name}" for name in ("steps", "observations", "landmarks")]
-    told.append(f"{counts['submaps']:,} sub-maps")
+    names = {"steps": "step", "observations": "observation", "landmarks": "landmark", "submaps": "sub-map"}
+    told = [f"{counts[key]:,} {one}{'s' * (counts[key] != 1)}" for key, one in names.items()]
     if atlas.unconnected:
         told.append(f"not connected yet: {', '.join(atlas.unconnected)}")
     axes.set_title(atlas.name, loc="left", color=INK, fontsize=15, fontweight="bold", pad=26)
