@@ -10,6 +10,7 @@ import argparse
 import math
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,9 +71,9 @@ def measure(landmarks: int, rounds: int, times: int) -> dict[str, float]:
     for _ in range(rounds):
         submap, z = prepare(landmarks)
         ways: dict[str, Callable[[], None]] = {
-            "scaling": lambda s=submap: _scale(s.P, n, times),  # type: ignore[misc]
-            "update": lambda s=submap, z=z: _update(s.x, s.P, n, z, s.scratch, False, times),  # type: ignore[misc]
-            "update with prediction": lambda s=submap, z=z: _update(s.x, s.P, n, z, s.scratch, True, times),  # type: ignore[misc]
+            "scaling": partial(_scale, submap.P, n, times),
+            "update": partial(_update, submap.x, submap.P, n, z, submap.scratch, False, times),
+            "update with prediction": partial(_update, submap.x, submap.P, n, z, submap.scratch, True, times),
         }
         for name, way in ways.items():
             begin = time.perf_counter()

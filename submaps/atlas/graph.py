@@ -51,8 +51,8 @@ class Graph:
         self._pairs: list[Pair] | None = None
         self._near: dict[int, list[Pair]] = {}
         self._own: dict[Pair, Edge] = {}
-        self._settled: dict[Pair, Edge] = state.settled.setdefault("edges", {})  # type: ignore[assignment]
-        self._settled_older: dict[int, list[Pair]] = state.settled.setdefault("older", {})  # type: ignore[assignment]
+        self._settled: dict[Pair, Edge] = state.settled.setdefault("edges", {})
+        self._settled_older: dict[int, list[Pair]] = state.settled.setdefault("older", {})
 
     def pairs(self) -> list[Pair]:
         """(kind, a, b) of every edge, by the younger of its two sub-maps."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +59,7 @@ class AtlasState:
     closed_bytes: int
     version: int
     solution: Solution | None = None
-    settled: dict[object, object] = field(default_factory=dict)
+    settled: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
     def empty(cls, config: MapConfig) -> AtlasState:

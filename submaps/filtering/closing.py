@@ -24,6 +24,7 @@ CLOSED, REALS, IDS = 0, 1, 2
 
 @jit()
 def predict(x: Floats, P: Floats, n: int, motion: Floats, invariant: int, u: Floats) -> bool:
+    """Predict with the pending increment and clear it; whether ``u`` holds a rank-one term still to be added."""
     noise = motion[NOISE : NOISE + 9].reshape(3, 3)
     has_u = False
     if invariant:
