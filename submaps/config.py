@@ -104,6 +104,35 @@ class MapConfig:
             raise ConfigError("submap.min_observed_steps", self.min_observed_steps, "an integer in 1..1000000")
 
 
+@dataclass(frozen=True)
+class Start:
+    """Where a robot's first pose lies, as far as its operator knows.
+
+    ``pose`` (x m, y m, theta rad) in ``frame`` (``map`` or ``submap/k``), with the (3, 3)
+    ``covariance`` of its additive errors, positive definite.
+    """
+
+    frame: str
+    pose: tuple[float, float, float]
+    covariance: tuple[tuple[float, float, float], ...]
+
+    def __post_init__(self) -> None:
+        _check_numbers("start.pose", self.pose, (3,))
+        if len(self.covariance) != 3:
+            raise ConfigError("start.covariance", self.covariance, "3 rows of 3 numbers")
+        for row in self.covariance:
+            _check_numbers("start.covariance", row, (3,))
+
+
+@dataclass(frozen=True)
+class RobotConfig:
+    """What sets a robot apart from its map's defaults."""
+
+    motion: MotionConfig
+    observation: ObservationConfig
+    start: Start | None = None
+
+
 def _check_choice(name: str, got: object, known: Sequence[str]) -> None:
     if got not in known:
         raise ConfigError(name, got, "one of " + ", ".join(known))

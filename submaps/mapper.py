@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from submaps.atlas.solution import Solution
 from submaps.atlas.state import AtlasState, RobotState
 from submaps.atlas.view import View
-from submaps.config import MapConfig
+from submaps.config import MapConfig, RobotConfig
 from submaps.consistency import chi_square_bound
 from submaps.filtering import kernel, layout
 from submaps.filtering.closing import Shelf
@@ -70,6 +70,11 @@ class Mapper:
         self._shelf = Shelf(_SHELF_SUBMAPS, _SHELF_REALS)
         self._state = AtlasState.empty(config)
         self._changed: set[str] = set()
+        self._own: dict[str, RobotConfig] = {}
+
+    def configure(self, robot: str, own: RobotConfig) -> None:
+        """Set a robot apart from the map's defaults, before its first batch."""
+        self._own[robot] = own
 
     def apply(self, robot: str, batch: Batch) -> Report:
         """Take in an admitted batch of one robot's measurements; never fails on its content."""

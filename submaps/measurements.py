@@ -10,6 +10,25 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_ENCOUNTER = "\x1f"  # not printable: no landmark's id can hold it
+
+
+def encounter(robot: str, t: float) -> str:
+    """The name under which a sighting of another robot, at time t (s), stands among the landmarks.
+
+    The other robot's position at that moment is a point like any landmark, held by both robots'
+    sub-maps.
+    """
+    return f"{_ENCOUNTER}{robot}{_ENCOUNTER}{float(t)!r}"
+
+
+def as_encounter(name: str) -> tuple[str, float] | None:
+    """The robot and time (s) of an encounter's name, ``None`` for a landmark's."""
+    if not name.startswith(_ENCOUNTER):
+        return None
+    _, robot, t = name.split(_ENCOUNTER)
+    return robot, float(t)
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -18,7 +37,8 @@ class Batch:
     ``t`` (n,) seconds; ``control`` (d, c) with ``control_step`` (c,) strictly rising;
     ``z`` (2, m) with ``observation_step`` (m,) not falling and ``landmark`` m ids. Covariances
     (c, d, d) and (m, 2, 2) stand where the client sent its own, and are ``None`` where the model's
-    sigma holds throughout.
+    sigma holds throughout. A sighting of another robot is an observation of the landmark that
+    ``encounter`` names; within a step it follows those of landmarks.
     """
 
     t: Floats
