@@ -13,47 +13,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps.atlas.solution import Solution
-from submaps.atlas.state import AtlasState, RobotState
+from submaps.atlas.state import AtlasState, submap_of
 from submaps.atlas.view import View
-from submaps.config import MapConfig, RobotConfig
-from submaps.consistency import chi_square_bound
+from submaps.config import MapConfig, RobotConfig, Start
+from submaps.encounters import Columns, Mark, one_each, with_marks
 from submaps.filtering import kernel, layout
 from submaps.filtering.closing import Shelf
 from submaps.filtering.walk import walk
-from submaps.geometry.trig import sincos
-from submaps.measurements import Batch, Floats, Ints, Rejection, Report
+from submaps.measurements import Batch, Floats, Ints, Rejection, Report, as_encounter
 from submaps.motion.increments import dead_reckon, increments
-from submaps.observation.models import MODELS
+from submaps.robot import Robot, Segment
 from submaps.submap import ActiveSubmap, Submap
 
-FLAG_PROBABILITY = 0.9999
 # Sub-maps that only extend the solution may wait this long for the next solve.
 PENDING_EXTENSIONS = 8
-_FIRST_CAPACITY = 50
-# Room for sub-maps that close within one walk, before it has to come back.
-_SHELF_SUBMAPS, _SHELF_REALS = 256, 1 << 15
-_REASONS = {kernel.GATED: "gate", kernel.SINGULAR: "singular", kernel.FLAGGED: "unlikely"}
-
-
-class _Robot:
-    """One robot's place in the map: its clock, its dead reckoning, its active sub-map."""
-
-    def __init__(self, number: int, name: str, active: ActiveSubmap) -> None:
-        self.number = number
-        self.name = name
-        self.active = active
-        self.first = active.number
-        self.t: float | None = None
-        self.odom = np.zeros(3)
-        self.odom_covariance = np.zeros((3, 3))
-        self.closed_counts = np.zeros(3, dtype=np.int64)  # steps, observations, rejected
+# Landmarks that a robot's first arrays have room for, and sub-maps that a first shelf has: both grow.
+_FIRST_CAPACITY = 13
+_SHELF_SUBMAPS, _SHELF_REALS, _MOST_SHELVED = 4, 1 << 11, 256
+# Sightings of one robot that wait for it to come so far.
+_MOST_MARKS = 10_000
+_REASONS = {kernel.GATED: "gate", kernel.SINGULAR: "singular", kernel.FLAGGED: "unlikely", kernel.LATE: "late"}
 
 
 class Mapper:
     """One map of any number of robots; changed by one thread at a time.
 
-    ``solve_due`` says that a sub-map closed which ties to older ones, or that several have closed,
-    since the last call of ``problem``.
+    ``solve_due`` says that a sub-map closed which ties to older ones, that several have closed, or
+    that robots may have met, since the last call of ``problem``.
     """
 
     def __init__(self, config: MapConfig) -> None:
@@ -62,59 +48,86 @@ class Mapper:
         self._pending = 0
         self._closed_bytes = 0
         self._invariant = config.filter == "invariant"
-        self._whole, self._real, self._R = _settings(config)
-        self._robots: dict[str, _Robot] = {}
-        self._slot_of = np.full(256, -1, dtype=np.int32)
-        self._last_seen = np.full(256, -1, dtype=np.int32)
+        self._configured: dict[str, RobotConfig] = {}
+        self._robots: dict[str, Robot] = {}
+        self._roots = np.empty(0, dtype=np.int64)
+        self._slot_of, self._last_seen, self._seen_first = np.full((3, 16), -1, dtype=np.int32)
         self._slots_of: ActiveSubmap | None = None
+        self._encounters = 0
         self._shelf = Shelf(_SHELF_SUBMAPS, _SHELF_REALS)
+        self._marks: dict[str, list[Mark]] = {}  # of robots that have not come so far yet
         self._state = AtlasState.empty(config)
         self._changed: set[str] = set()
-        self._own: dict[str, RobotConfig] = {}
 
     def configure(self, robot: str, own: RobotConfig) -> None:
         """Set a robot apart from the map's defaults, before its first batch."""
-        self._own[robot] = own
+        self._configured[robot] = own
 
     def apply(self, robot: str, batch: Batch) -> Report:
         """Take in an admitted batch of one robot's measurements; never fails on its content."""
         r = self._robots.get(robot) or self._new_robot(robot, float(batch.t[0]))
-        landmark = self._intern(batch.landmark)
-        steps, noises = increments(self.config.motion, batch, r.t)
-        track_odom = np.empty((batch.steps, 3))
-        dead_reckon(r.odom, r.odom_covariance, steps, noises, batch.control_step, track_odom)
-        R = self._R if batch.observation_covariance is None else _one_each(batch.observation_covariance)
-        nis = np.empty(batch.observations)
-        status = np.zeros(batch.observations, dtype=np.uint8)
-        track = np.empty((batch.steps, 3))
-        track_submap, chapter = np.empty((2, batch.steps), dtype=np.int32)
-        shelf = self._shelf
+        landmark, met = self._intern(batch.landmark)
+        columns, track_odom = _prepared(r, batch, landmark)
+        late = self._announce(met)
+        marks = self._due_marks(robot, float(batch.t[-1]))
+        taken, marked = np.ones(batch.observations, dtype=bool), None
+        if late:
+            taken = np.isin(landmark, late, invert=True)
+            columns = columns.only(taken)
+        if marks:
+            marked = with_marks(columns, r.t, marks)
+            columns = marked.columns
+        before = r.active.number
+        track, track_submap, seen_status, seen_nis = self._walk(r, columns)
+        self._note(r, columns, before, track_submap)
+        if marked is not None:
+            track, track_submap = track[marked.steps], track_submap[marked.steps]
+            seen_status, seen_nis = seen_status[marked.observations], seen_nis[marked.observations]
+        status = np.full(batch.observations, kernel.LATE, dtype=np.uint8)
+        nis = np.full(batch.observations, math.nan)
+        status[taken], nis[taken] = seen_status, seen_nis
+        rejected, flagged = _set_aside(batch, status, nis)
+        x, y, theta = track[-1].tolist()
+        return Report(
+            r.active.number, float(batch.t[-1]), (x, y, theta), rejected, flagged, track_submap, track, track_odom
+        )
+
+    def _walk(self, r: Robot, c: Columns) -> tuple[Floats, NDArray[np.int32], NDArray[np.uint8], Floats]:
+        """Walk through the robot's sub-maps: pose and sub-map after each step, status and nis of each observation."""
+        nis = np.empty(c.landmark.shape[0])
+        status = np.zeros(c.landmark.shape[0], dtype=np.uint8)
+        track = np.empty((c.t.shape[0], 3))
+        track_submap, chapter = np.empty((2, c.t.shape[0]), dtype=np.int32)
         event, step, resumed = layout.GENESIS, 0, False
         while event != layout.DONE:
-            s, begin = r.active, step
+            s, begin, shelf = r.active, step, self._shelf
             self._lend_slots(s)
             event, step = walk(
-                step, resumed, steps, noises, batch.control_step, batch.observation_step, landmark, batch.z, R,
-                self._whole, self._real, s.x, s.P, s.ids, s.counts, s.motion, self._slot_of, s.scratch,
+                step, resumed, c.increments, c.noises, c.control_step, c.observation_step, c.landmark, c.z, c.R, c.own,
+                r.whole, r.real, s.x, s.P, s.ids, s.counts, s.motion, self._slot_of, s.scratch,
                 nis, status, track, chapter, shelf.whole, shelf.reals, shelf.ids, shelf.fill,
             )  # fmt: skip
             numbers = [s.number]
-            for closed in s.closed(shelf, self._invariant, batch.t, iter(self._next_number, None)):
+            for closed in s.closed(shelf, self._invariant, c.t, iter(self._next_number, None)):
                 self._file(r, closed)
                 numbers.append(closed.following)
             track_submap[begin:step] = np.array(numbers, dtype=np.int32)[chapter[begin:step]]
             resumed = True
-            if event == layout.GENESIS and len(numbers) == 1:
-                shelf = self._shelf = shelf.twice()
+            if event == layout.GENESIS and (len(numbers) == 1 or shelf.whole.shape[0] < _MOST_SHELVED):
+                self._shelf = shelf.twice()
             elif event == layout.GROW:
-                s.grow(int(np.count_nonzero(batch.observation_step == step)) + s.landmark_count)
-        r.t = float(batch.t[-1])
-        self._changed.add(robot)
-        rejected, flagged = _set_aside(batch, status, nis)
-        x, y, theta = track[-1]
-        return Report(
-            r.active.number, r.t, (float(x), float(y), float(theta)), rejected, flagged, track_submap, track, track_odom
-        )
+                s.grow(int(np.count_nonzero(c.observation_step == step)) + s.landmark_count)
+        return track, track_submap, status, nis
+
+    def _note(self, r: Robot, columns: Columns, before: int, track_submap: NDArray[np.int32]) -> None:
+        """Note what columns have changed beside the sub-maps; ``before`` is the sub-map that was active."""
+        if len(self._robots) > 1:
+            self._note_foreign(r, columns.landmark)
+            fresh = r.active.number != before
+            began = int(np.argmax(track_submap == r.active.number)) if fresh else 0
+            r.remember(Segment(columns, began, fresh, r.t), anew=fresh or r.t is None)
+        r.t = float(columns.t[-1])
+        self._changed.add(r.name)
 
     def view(self) -> View:
         """What queries see: immutable, sharing all but the active sub-maps that changed."""
@@ -130,23 +143,45 @@ class Mapper:
 
     def install(self, solution: Solution) -> None:
         """Publish a solve: queries in ``map`` refer to it from now on."""
-        self._state = replace(self._state, solution=solution, version=self._state.version + 1)
+        count = len(solution.roots)
+        since = self._roots[count:]
+        self._roots = np.array(
+            [*solution.roots, *(solution.roots[r] if r < count else r for r in since)], dtype=np.int64
+        )
+        last = self._state.solution
+        same = last is not None and last.roots == solution.roots[: len(last.roots)] and last.untied == solution.untied
+        settled = self._state.settled if same else {}  # what follows from closed sub-maps alone, and from these
+        self._state = replace(self._state, solution=solution, version=self._state.version + 1, settled=settled)
 
     # -- robots, landmarks, sub-maps ---------------------------------------------------------
 
-    def _new_robot(self, name: str, t: float) -> _Robot:
+    def _new_robot(self, name: str, t: float) -> Robot:
         number = len(self._robots)
+        if number == 1:
+            self._seen_first[: len(self._state.names)] = 0
         capacity = min(self.config.max_landmarks, _FIRST_CAPACITY)
-        robot = _Robot(number, name, ActiveSubmap(self._next_number(), number, t, capacity))
+        own = self._configured.get(name) or RobotConfig(self.config.motion, self.config.observation)
+        robot = Robot(number, name, self.config, own, ActiveSubmap(self._next_number(), number, t, capacity))
         self._robots[name] = robot
+        root = number if own.start is None else self._root_of(own.start)
+        self._roots = np.append(self._roots, min(root, number))
         return robot
+
+    def _root_of(self, start: Start) -> int:
+        """The root of the component that a start's frame is in."""
+        number = submap_of(start.frame)
+        if number is None:
+            return 0
+        record = self._state.records[number]
+        holders = (r.number for r in self._robots.values() if r.active.number == number)
+        return int(self._roots[next(holders) if record is None else record.robot])
 
     def _next_number(self) -> int:
         """The number of a sub-map that begins, with a place for it among the records."""
         self._state.records.append(None)
         return len(self._state.records) - 1
 
-    def _file(self, r: _Robot, closed: Submap) -> None:
+    def _file(self, r: Robot, closed: Submap) -> None:
         """Put a sub-map that has closed among the records."""
         state = self._state
         state.records[closed.number] = closed
@@ -161,24 +196,94 @@ class Mapper:
         ties_to_older = any(k not in (-1, closed.previous) for k in seen)
         self.solve_due |= ties_to_older or self._pending >= PENDING_EXTENSIONS
 
-    def _intern(self, names: tuple[str, ...]) -> Ints:
-        """The map's numbers of landmark names; new names get the next ones."""
+    def _note_foreign(self, r: Robot, landmark: Ints) -> None:
+        """Ask for a solve where the robot sees landmarks that another component's robots saw first."""
+        first = self._seen_first[landmark]
+        self._seen_first[landmark[first < 0]] = r.number
+        foreign = (first >= 0) & (self._roots[first] != self._roots[r.number])
+        if foreign.any():
+            before = len(r.foreign)
+            r.foreign.update(landmark[foreign].tolist())
+            self.solve_due |= len(r.foreign) > max(before, 1)
+
+    def _intern(self, names: tuple[str, ...]) -> tuple[Ints, list[tuple[str, float, int]]]:
+        """The map's numbers of landmark names, new names the next ones; new encounters (robot, t, number)."""
         state = self._state
         number_of = state.number_of
+        met = []
         try:
-            return np.array([number_of[name] for name in names], dtype=np.int64)
+            return np.array([number_of[name] for name in names], dtype=np.int64), []
         except KeyError:
             for name in names:
                 if name not in number_of:
+                    number = len(number_of)
+                    encounter = as_encounter(name)
+                    if encounter is not None:
+                        met.append((*encounter, number))
                     state.names.append(name)
                     state.sightings.append([])
-                    number_of[name] = len(number_of)
-        room = self._slot_of.shape[0]
-        if len(number_of) > room:
-            more = np.full(max(room, len(number_of) - room), -1, dtype=np.int32)
+                    number_of[name] = number
+        self._encounters += len(met)
+        if len(number_of) > self._slot_of.shape[0]:
+            more = np.full(max(self._slot_of.shape[0], len(number_of) - self._slot_of.shape[0]), -1, dtype=np.int32)
             self._slot_of = np.concatenate([self._slot_of, more])
             self._last_seen = np.concatenate([self._last_seen, more])
-        return np.array([number_of[name] for name in names], dtype=np.int64)
+            self._seen_first = np.concatenate([self._seen_first, more])
+        return np.array([number_of[name] for name in names], dtype=np.int64), met
+
+    # -- robots that see one another ---------------------------------------------------------
+
+    def _announce(self, met: list[tuple[str, float, int]]) -> list[int]:
+        """Tell robots when they were seen; the numbers of encounters that come too late for that."""
+        passed: dict[str, list[Mark]] = {}
+        for name, t, number in met:
+            other = self._robots.get(name)
+            ahead = other is not None and other.t is not None and t <= other.t
+            (passed if ahead else self._marks).setdefault(name, []).append((t, number))
+            if not ahead and len(self._marks[name]) > _MOST_MARKS:
+                del self._marks[name][0]
+        return [number for name, marks in passed.items() for number in self._mark_late(self._robots[name], marks)]
+
+    def _due_marks(self, robot: str, until: float) -> list[Mark]:
+        """Take the marks that a robot passes."""
+        waiting = self._marks.get(robot)
+        if not waiting:
+            return []
+        self._marks[robot] = [mark for mark in waiting if mark[0] > until]
+        return [mark for mark in waiting if mark[0] <= until]
+
+    def _mark_late(self, r: Robot, marks: list[Mark]) -> list[int]:
+        """Walk the active sub-map again with marks in it; the numbers of those that came too late."""
+        s, history = r.active, r.history
+        room = max(2 * self.config.max_landmarks - s.landmark_count, 0)
+        good = [mark for mark in marks if history and mark[0] >= history[0].begin][:room]
+        if history and good:
+            fresh = ActiveSubmap(s.number, s.robot, s.began, s.landmark_count + len(good))
+            fresh.previous = s.previous
+            self._lend_slots(fresh)
+            parts = [(segment, [m for m in good if segment.covers(m[0], i == 0)]) for i, segment in enumerate(history)]
+            r.history = [self._walk_again(r, fresh, segment, own) for segment, own in parts]
+            r.active = fresh
+            self._changed.add(r.name)
+        kept = {number for _, number in good}
+        return [number for _, number in marks if number not in kept]
+
+    def _walk_again(self, r: Robot, s: ActiveSubmap, segment: Segment, marks: list[Mark]) -> Segment:
+        """Take a segment into a sub-map once more, with marks, and without ending it."""
+        c, step = segment.columns, segment.step
+        if marks:
+            marked = with_marks(c, segment.before, marks)
+            c, step = marked.columns, int(marked.steps[step])
+        m, n, shelf = c.landmark.shape[0], c.t.shape[0], self._shelf
+        walk(
+            step, segment.resumed, c.increments, c.noises, c.control_step, c.observation_step, c.landmark, c.z, c.R,
+            c.own, r.endless, r.real, s.x, s.P, s.ids, s.counts, s.motion, self._slot_of, s.scratch,
+            np.empty(m), np.empty(m, dtype=np.uint8), np.empty((n, 3)), np.empty(n, dtype=np.int32),
+            shelf.whole, shelf.reals, shelf.ids, shelf.fill,
+        )  # fmt: skip
+        return Segment(c, step, segment.resumed, segment.before)
+
+    # -- what is shared with views -----------------------------------------------------------
 
     def _lend_slots(self, submap: ActiveSubmap) -> None:
         """Make the table from landmarks to slots speak of this sub-map."""
@@ -199,40 +304,25 @@ class Mapper:
             if name in robots:
                 active.pop(robots[name].submap, None)
             active[r.active.number] = r.active.snapshot(r.t or 0.0, self._invariant)
-            robots[name] = _robot_state(r)
+            robots[name] = r.state()
         self._changed.clear()
         self._state = replace(
             self._state, active=active, robots=robots, submap_count=len(self._state.records),
-            landmark_count=len(self._state.names), closed_bytes=self._closed_bytes,
+            landmark_count=len(self._state.names), closed_bytes=self._closed_bytes, encounter_count=self._encounters,
         )  # fmt: skip
 
 
-def _settings(config: MapConfig) -> tuple[Ints, Floats, Floats]:
-    observation = config.observation
-    x, y, theta = observation.mount
-    sine, cosine = sincos(theta)
-    gate = math.inf if config.gate is None else chi_square_bound(config.gate, 2)
-    flag = chi_square_bound(FLAG_PROBABILITY, 2)
-    invariant = config.filter == "invariant"
-    whole = [MODELS[observation.model], invariant, config.max_landmarks, config.min_observed_steps]
-    real = [x, y, cosine, sine, gate, flag, config.max_heading_sigma**2, config.max_position_sigma**2]
-    return np.array(whole, dtype=np.int64), np.array(real), np.diag(np.square(observation.sigma))[np.newaxis]
-
-
-def _one_each(covariance: Floats) -> Floats:
-    """One covariance for each observation; a single one would read as the model's for all."""
-    return covariance if covariance.shape[0] != 1 else np.repeat(covariance, 2, axis=0)
-
-
-def _robot_state(r: _Robot) -> RobotState:
-    own = [layout.STEPS, layout.OBSERVATIONS, layout.REJECTED]
-    steps, observations, rejected = (r.closed_counts + r.active.counts[own]).tolist()
-    x, y, theta = r.odom
-    return RobotState(
-        id=r.name, number=r.number, first=r.first, submap=r.active.number, t=r.t or 0.0,
-        steps=steps, observations=observations, rejected=rejected, pose=r.active.pose,
-        odom=(float(x), float(y), float(theta)), odom_covariance=r.odom_covariance.copy(),
+def _prepared(r: Robot, batch: Batch, landmark: Ints) -> tuple[Columns, Floats]:
+    """A batch as the walk takes it, and the robot's track by dead reckoning, which it brings forward."""
+    steps, noises = increments(r.motion, batch, r.t)
+    track_odom = np.empty((batch.steps, 3))
+    dead_reckon(r.odom, r.odom_covariance, steps, noises, batch.control_step, track_odom)
+    R = r.R if batch.observation_covariance is None else one_each(batch.observation_covariance)
+    own = np.zeros(batch.observations, dtype=np.uint8)
+    columns = Columns(
+        batch.t, batch.control_step, steps, noises, batch.observation_step, landmark, batch.z, R, own
     )  # fmt: skip
+    return columns, track_odom
 
 
 def _set_aside(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +30,11 @@ def unpack(packed: Floats, rows: NDArray[np.int64]) -> Floats:
     return out
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Submap:
     """What a sub-map says, at its close or at one moment of its life; never changed after.
+
+    Most of a map's memory is these, so nothing that can be had again is kept in them.
 
     ``mean`` is (x m, y m, theta rad, l_1x, l_1y, ...) in the sub-map's own frame: the pose at its
     end, then its landmarks, of which ``landmarks`` holds the map's numbers. ``packed`` is the lower
@@ -56,6 +57,7 @@ class Submap:
     landmarks: NDArray[np.int32]
     mean: Floats
     packed: Floats
+    _digest: bytes | None = field(default=None, init=False, repr=False)
 
     @property
     def active(self) -> bool:
@@ -72,19 +74,28 @@ class Submap:
         """Bytes of the estimate."""
         return int(self.mean.nbytes + self.packed.nbytes + self.landmarks.nbytes)
 
-    @cached_property
-    def slot(self) -> dict[int, int]:
+    def slots(self) -> dict[int, int]:
         """Place of each landmark (by the map's number) in ``mean``."""
-        return {int(number): 3 + 2 * i for i, number in enumerate(self.landmarks)}
+        return {number: 3 + 2 * i for i, number in enumerate(self.landmarks.tolist())}
 
-    @cached_property
+    def slot_of(self, landmark: int) -> int:
+        """Place of one landmark in ``mean``; it must hold it."""
+        return 3 + 2 * int(np.flatnonzero(self.landmarks == landmark)[0])
+
+    def holds(self, landmark: int) -> bool:
+        """Whether a landmark (by the map's number) is in it."""
+        return bool(np.any(self.landmarks == landmark))
+
     def digest(self) -> bytes:
         """Digest of the estimate, over everything a solve reads."""
-        whole = np.array([self.number, self.robot, self.previous, self.following, self.invariant])
-        digest = hashlib.blake2b(whole.astype("<i8").tobytes(), digest_size=16)
-        for array in (self.landmarks.astype("<i4"), self.mean.astype("<f8"), self.packed.astype("<f8")):
-            digest.update(array.tobytes())
-        return digest.digest()
+        if self._digest is None:
+            whole = np.array([self.number, self.robot, self.previous, self.following, self.invariant])
+            digest = hashlib.blake2b(whole.astype("<i8").tobytes(), digest_size=16)
+            for array in (self.landmarks.astype("<i4"), self.mean.astype("<f8"), self.packed.astype("<f8")):
+                digest.update(array.tobytes())
+            object.__setattr__(self, "_digest", digest.digest())
+        assert self._digest is not None
+        return self._digest
 
     def covariance(self, rows: NDArray[np.int64] | None = None) -> Floats:
         """Covariance (d, d) of the state entries ``rows`` (all of them by default)."""

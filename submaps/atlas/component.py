@@ -1,26 +1,42 @@
 """One component of the atlas as a least-squares problem: flat arrays for the compiled assembly.
 
-Variables are numbered: the frames after the first (which is fixed), in chain order, the last of them
-the robot's present pose; then the landmarks that at least two sub-maps hold.
+Variables are numbered: the sub-maps' frames in order of the sub-maps' numbers (but the root, which is
+fixed), the present poses of the robots in the component, then the landmarks that at least two sub-maps
+hold.
 """
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
-from submaps.atlas.factors import factor, normal_equations, residual, rows_of
-from submaps.atlas.placed import Placed, as_pose
+from submaps.atlas.factors import factor, normal_equations, residual
+from submaps.atlas.placed import Placed, as_pose, rotation
 from submaps.atlas.sparse import InverseSubset, Pattern, scatter
-from submaps.geometry.se2 import compose, transform
+from submaps.geometry.se2 import Pose, compose, transform
 from submaps.submap import Submap
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 FIXED = -1
+Part = tuple[Submap, Ints, Floats, Floats]
+
+
+@dataclass(frozen=True)
+class Link:
+    """What a robot's start says: the frame of its first sub-map, in that of another (``None``: the root).
+
+    ``information`` (3, 3) is of the error that factors speak of (see ``atlas.factors``).
+    """
+
+    frame: int | None
+    first: int
+    pose: Pose
+    information: Floats
 
 
 @jit(
@@ -57,42 +73,144 @@ def _assemble(
 
 
 class Component:
-    """A chain of sub-maps, the last of them active, as factors over frames and shared landmarks."""
+    """Sub-maps of one or more robots as factors over frames and shared landmarks.
 
-    def __init__(self, chain: list[Submap], previous: Component | None = None) -> None:
-        self.chain = chain
-        held = Counter(i for s in chain for i in s.slot)
-        self.landmarks = sorted(i for i, times in held.items() if times > 1)
-        count = len(chain)
-        self.variable_of = {number: count + i for i, number in enumerate(self.landmarks)}
-        self.shared = [[i for i in s.slot if held[i] > 1] for s in chain]
-        own = [
-            np.array([f - 1, f, *(self.variable_of[i] for i in self.shared[f])], dtype=np.int64) for f in range(count)
-        ]
-        self.parts = [self._part(f, previous) for f in range(count)]
-        self.invariant = chain[0].invariant
-        self._variables = np.concatenate(own)
-        self._variable_at = _offsets([v.shape[0] for v in own])
-        self._estimates = np.concatenate([e for e, _ in self.parts])
-        self._estimate_at = _offsets([e.shape[0] for e, _ in self.parts])
-        self._informations = np.concatenate([i.ravel() for _, i in self.parts])
-        self._information_at = _offsets([i.size for _, i in self.parts])
-        widths = np.array([3] * count + [2] * len(self.landmarks), dtype=np.int64)
-        self.pattern = Pattern(widths, own)
-        self.frames = np.zeros((count + 1, 3))
+    ``members`` are in order of their numbers; the first one's frame is the root, unless it has a start
+    itself. ``total`` (landmarks,) says how many sub-maps of the whole atlas hold each landmark: those
+    that sub-maps outside hold as well are kept, for components may meet. The pairs (sub-map,
+    landmark) in ``untied`` are private to their sub-maps. ``known`` has parts of the last solve,
+    taken over where nothing changed.
+    """
+
+    def __init__(
+        self, members: list[Submap], total: Ints, untied: Collection[tuple[int, int]], links: Sequence[Link],
+        known: Mapping[int, Part],
+    ) -> None:  # fmt: skip
+        self.members = members
+        self.numbers = np.array([s.number for s in members], dtype=np.int64)
+        self.invariant = members[0].invariant
+        self.links = {link.first: link for link in links}
+        self._index_frames()
+        self._find_shared(total, untied)
+        self.parts = [self._part(f, known.get(s.number)) for f, s in enumerate(members)]
+        self._flatten()
+        self.frames = np.zeros((self.poses + 1, 3))
         self.points = np.full((len(self.landmarks), 2), np.nan)
 
-    def _part(self, f: int, previous: Component | None) -> tuple[Floats, Floats]:
-        """Estimate and information of factor f, taken over where the last solve had the same."""
-        submap, shared = self.chain[f], self.shared[f]
-        if previous is not None and f < len(previous.chain):
-            last = previous.chain[f], previous.shared[f]
-            if last[0] is submap and last[1] == shared:
-                return previous.parts[f]
-        return factor(submap, rows_of(submap, shared))
+    def _index_frames(self) -> None:
+        """Rows of ``frames`` for each member's frame and end: row 0 is the root."""
+        count = len(self.members)
+        following = np.array([s.following for s in self.members], dtype=np.int64)
+        rooted = self.members[0].number not in self.links
+        self.frame_at = np.arange(count, dtype=np.int64) + (0 if rooted else 1)
+        active = following < 0
+        self.end_at = self.frame_at[np.searchsorted(self.numbers, np.where(active, self.numbers, following))]
+        self.end_at[active] = self.frame_at[-1] + 1 + np.arange(np.count_nonzero(active))
+        self.poses = int(self.frame_at[-1]) + int(np.count_nonzero(active))
 
-    def assemble(self, factors: int, data: Floats, gradient: Floats) -> float:
-        """Write the normal equations of the first ``factors`` factors at the present values; the cost.
+    def _find_shared(self, total: Ints, untied: Collection[tuple[int, int]]) -> None:
+        lengths = np.array([s.landmarks.shape[0] for s in self.members], dtype=np.int64)
+        every = np.concatenate([s.landmarks for s in self.members]).astype(np.int64)
+        at = _offsets(lengths)
+        own = np.ones(every.shape[0], dtype=bool)
+        for number, landmark in untied:
+            if self.has(number):
+                f = self.at(number)
+                own[at[f] : at[f + 1]] &= every[at[f] : at[f + 1]] != landmark
+        outside = total - np.bincount(every, minlength=total.shape[0])
+        held = outside + np.bincount(every[own], minlength=total.shape[0])
+        tied = own & (held[every] > 1)
+        self._owner = np.repeat(np.arange(len(self.members)), lengths)[tied]
+        self._shared_landmark = every[tied]
+        self._shared_at = _offsets(np.bincount(self._owner, minlength=len(self.members)))
+        unique, rows = np.unique(self._shared_landmark, return_inverse=True)
+        self.landmarks: list[int] = unique.tolist()
+        self._rows = rows.reshape(-1).astype(np.int64)
+
+    def _part(self, f: int, known: Part | None) -> Part:
+        """Estimate and information of a member, taken over where the last solve had the same."""
+        submap, shared = self.members[f], self._shared_of(f)
+        if known is not None and known[0] is submap and np.array_equal(known[1], shared):
+            return known
+        slots = submap.slots()
+        rows = np.empty(3 + 2 * shared.shape[0], dtype=np.int64)
+        rows[:3] = (0, 1, 2)
+        rows[3::2] = [slots[i] for i in shared.tolist()]
+        rows[4::2] = rows[3::2] + 1
+        return (submap, shared, *factor(submap, rows))
+
+    def _flatten(self) -> None:
+        """Lay the factors out for the compiled assembly: each member's, its link's before it."""
+        variables = self.poses + self._rows
+        own, estimates, informations = [], [], []
+        self._upto = []
+        for f, (submap, _, estimate, information) in enumerate(self.parts):
+            link = self.links.get(submap.number)
+            if link is not None:
+                own.append(np.array([self._link_from(link) - 1, self.frame_at[f] - 1]))
+                estimates.append(np.array(link.pose))
+                informations.append(link.information)
+            shared = variables[self._shared_at[f] : self._shared_at[f + 1]]
+            own.append(np.concatenate([[self.frame_at[f] - 1, self.end_at[f] - 1], shared]))
+            estimates.append(estimate)
+            informations.append(information)
+            self._upto.append(len(own))
+        self._variables = np.concatenate(own).astype(np.int64)
+        self._variable_at = _offsets([v.shape[0] for v in own])
+        self._estimates = np.concatenate(estimates)
+        self._estimate_at = _offsets([e.shape[0] for e in estimates])
+        self._informations = np.concatenate([i.ravel() for i in informations])
+        self._information_at = _offsets([i.size for i in informations])
+        widths = np.repeat([3, 2], [self.poses, len(self.landmarks)]).astype(np.int64)
+        self.pattern = Pattern(widths, self._variable_at, self._variables)
+
+    def _link_from(self, link: Link) -> int:
+        """Row of ``frames`` that a link starts from."""
+        return 0 if link.frame is None else int(self.frame_at[self.at(link.frame)])
+
+    # -- who is who --------------------------------------------------------------------------------
+
+    def has(self, number: int) -> bool:
+        """Whether a sub-map is a member."""
+        f = int(np.searchsorted(self.numbers, number))
+        return f < self.numbers.shape[0] and int(self.numbers[f]) == number
+
+    def at(self, number: int) -> int:
+        """The place of a sub-map among the members."""
+        return int(np.searchsorted(self.numbers, number))
+
+    def _shared_of(self, f: int) -> Ints:
+        return self._shared_landmark[self._shared_at[f] : self._shared_at[f + 1]]
+
+    def shared(self, f: int) -> list[int]:
+        """The shared landmarks of a member, in its own order."""
+        found: list[int] = self._shared_of(f).tolist()
+        return found
+
+    def variable_of(self, landmark: int) -> int | None:
+        """The variable of a landmark, ``None`` where it is not shared."""
+        i = int(np.searchsorted(self.landmarks, landmark)) if self.landmarks else 0
+        return self.poses + i if i < len(self.landmarks) and self.landmarks[i] == landmark else None
+
+    def point_rows(self, f: int) -> Ints:
+        """Rows of ``points`` of a member's shared landmarks."""
+        return self._rows[self._shared_at[f] : self._shared_at[f + 1]]
+
+    def known_parts(self) -> dict[int, Part]:
+        """Parts of the members by their numbers, for the next solve."""
+        return {part[0].number: part for part in self.parts}
+
+    def last_holders(self, members: int) -> Ints:
+        """For each shared landmark the last of the first ``members`` that holds it, or -1."""
+        holder = np.full(len(self.landmarks), -1, dtype=np.int64)
+        end = self._shared_at[members]
+        np.maximum.at(holder, self._rows[:end], self._owner[:end])
+        return holder
+
+    # -- values ------------------------------------------------------------------------------------
+
+    def assemble(self, members: int, data: Floats, gradient: Floats) -> float:
+        """Write the normal equations of the first ``members`` factors at the present values; the cost.
 
         Variables that none of them reaches get a unit pivot and no gradient.
         """
@@ -100,45 +218,78 @@ class Component:
         gradient[:] = 0.0
         p = self.pattern
         cost: float = _assemble(
-            0, factors, self.invariant, self._variable_at, self._variables, self._estimate_at, self._information_at,
-            self._estimates, self._informations, self.frames, self.points, p.begins, p.rows, p.within, p.start,
-            p.pointers, data, gradient,
+            0, self._upto[members - 1], self.invariant, self._variable_at, self._variables, self._estimate_at,
+            self._information_at, self._estimates, self._informations, self.frames, self.points, p.begins, p.rows,
+            p.within, p.start, p.pointers, data, gradient,
         )  # fmt: skip
         unreached = p.diagonal[data[p.diagonal] == 0.0]
         data[unreached] = 1.0
         return cost
 
+    def unplaced(self) -> list[int]:
+        """Members with a frame, an end or a landmark that has no value yet, in order."""
+        missing = np.isnan(self.frames[self.frame_at, 0]) | np.isnan(self.frames[self.end_at, 0])
+        missing[self._owner[np.isnan(self.points[self._rows, 0])]] = True
+        found: list[int] = np.flatnonzero(missing).tolist()
+        return found
+
     def place(self, f: int) -> None:
-        """First values of what factor f reaches and none before it did: its end, its new landmarks."""
-        submap, frame = self.chain[f], as_pose(self.frames[f])
-        if np.isnan(self.frames[f + 1, 0]):
-            self.frames[f + 1] = compose(frame, submap.pose)
-        for number in self.shared[f]:
-            i = self.variable_of[number] - len(self.chain)
+        """First values of what member f reaches and none before it did: its end, its new landmarks."""
+        submap = self.members[f]
+        link = self.links.get(submap.number)
+        if link is not None and np.isnan(self.frames[self.frame_at[f], 0]):
+            self.frames[self.frame_at[f]] = compose(as_pose(self.frames[self._link_from(link)]), link.pose)
+        frame = as_pose(self.frames[self.frame_at[f]])
+        if np.isnan(self.frames[self.end_at[f], 0]):
+            self.frames[self.end_at[f]] = compose(frame, submap.pose)
+        rows = self.point_rows(f)
+        for i, estimate in zip(rows.tolist(), self.parts[f][2][3:].reshape(-1, 2).tolist(), strict=True):
             if np.isnan(self.points[i, 0]):
-                at = submap.slot[number]
-                self.points[i] = transform(frame, float(submap.mean[at]), float(submap.mean[at + 1]))
+                self.points[i] = transform(frame, estimate[0], estimate[1])
 
     def placed(self, number: int, inverse: InverseSubset) -> Placed:
-        """A sub-map of the chain at the present values, with the joint covariance of its variables."""
-        f = next(i for i, s in enumerate(self.chain) if s.number == number)
-        shared = self.shared[f]
-        variables = np.array([v for v in (f - 1, f, *(self.variable_of[i] for i in shared)) if v != FIXED])
-        fixed = 3 if f == 0 else 0
-        size = 6 + 2 * len(shared)
+        """A member at the present values, with the joint covariance of its variables."""
+        f = self.at(number)
+        rows = self.point_rows(f)
+        variables = np.concatenate([[self.frame_at[f] - 1, self.end_at[f] - 1], self.poses + rows])
+        fixed = 3 if variables[0] == FIXED else 0
+        size = 6 + 2 * rows.shape[0]
         covariance = np.zeros((size, size))
-        covariance[fixed:, fixed:] = inverse.joint(variables)
-        at = np.array([self.variable_of[i] - len(self.chain) for i in shared], dtype=np.int64)
-        frame, end = as_pose(self.frames[f]), as_pose(self.frames[f + 1])
-        return Placed(self.chain[f], frame, end, shared, self.points[at].reshape(-1, 2), covariance)
+        covariance[fixed:, fixed:] = inverse.joint(variables[variables != FIXED])
+        frame, end = as_pose(self.frames[self.frame_at[f]]), as_pose(self.frames[self.end_at[f]])
+        return Placed(self.members[f], frame, end, self.shared(f), self.points[rows].reshape(-1, 2), covariance)
+
+    def take(self, other: Component, T: Pose) -> None:
+        """Take over another component's values, moved by ``T``, for what both have."""
+        mine = np.searchsorted(self.numbers, other.numbers)
+        self.frames[self.frame_at[mine]] = moved(T, other.frames[other.frame_at])
+        self.frames[self.end_at[mine]] = moved(T, other.frames[other.end_at])
+        self.frames[0] = 0.0
+        self.take_points(other, T)
+        for f in self.unplaced():
+            self.place(f)
+
+    def take_points(self, other: Component, T: Pose) -> None:
+        """Take over another component's landmarks, moved by ``T``, where this one has none yet."""
+        _, mine, theirs = np.intersect1d(self.landmarks, other.landmarks, return_indices=True)
+        missing = np.isnan(self.points[mine, 0])
+        at = other.points[theirs[missing]]
+        self.points[mine[missing]] = moved(T, np.column_stack([at, np.zeros(at.shape[0])]))[:, :2]
 
     def move(self, step: Floats) -> None:
         """Add an increment of all variables to their values."""
-        poses = 3 * len(self.chain)
+        poses = 3 * self.poses
         self.frames[1:] += step[:poses].reshape(-1, 3)
         self.frames[:, 2] = np.remainder(self.frames[:, 2] + np.pi, 2.0 * np.pi) - np.pi
         self.points += step[poses:].reshape(-1, 2)
 
 
-def _offsets(lengths: list[int]) -> Ints:
+def moved(T: Pose, poses: Floats) -> Floats:
+    """T composed with each pose (n, 3)."""
+    R = rotation(T[2])
+    heading = np.remainder(poses[:, 2] + T[2] + np.pi, 2.0 * np.pi) - np.pi
+    return np.column_stack([poses[:, :2] @ R.T + T[:2], heading])
+
+
+def _offsets(lengths: Sequence[int] | Ints) -> Ints:
     return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)

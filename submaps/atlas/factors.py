@@ -187,7 +187,7 @@ def normal_equations(information: Floats, xi: Floats, J: Floats, H: Floats, g: F
 
 def rows_of(submap: Submap, landmarks: list[int]) -> Ints:
     """Entries of a sub-map's state for its pose and the named landmarks."""
-    slot = submap.slot
+    slot = submap.slots()
     rows = np.empty(3 + 2 * len(landmarks), dtype=np.int64)
     rows[:3] = (0, 1, 2)
     rows[3::2] = [slot[i] for i in landmarks]

@@ -45,8 +45,18 @@ class Front:
         return cls(ORIGIN, [], np.empty((0, 2)), np.zeros((3, 3)), np.zeros(3), True)
 
     @classmethod
+    def of_start(cls, frame: Pose, covariance: Floats) -> Front:
+        """That of a first sub-map whose frame is known by the (3, 3) covariance of its additive errors."""
+        return cls(
+            frame, [], np.empty((0, 2)), np.asarray(np.linalg.inv(covariance), dtype=np.float64), np.zeros(3), False
+        )
+
+    @classmethod
     def of_solution(cls, placed: Placed, fixed: bool) -> Front:
-        """That of a sub-map which was active in a solve: the solve's joint less the factor it had then."""
+        """That of a sub-map which was active in a solve: the solve's joint less the factor it had then.
+
+        A ``fixed`` frame is the root of its component.
+        """
         H, g, _ = _equations(placed.submap, placed.shared, placed.frame, placed.end, placed.points)
         own, gradient = _eliminate(H, g, np.arange(3, 6))
         size = own.shape[0]
@@ -82,8 +92,10 @@ def _eliminate(H: Floats, g: Floats, gone: NDArray[np.int64]) -> tuple[Floats, F
 
 def _carried(front: Front, submap: Submap, following: Submap | None) -> Front:
     """The front without landmarks that neither the sub-map nor the one after it holds."""
-    after = following.slot if following is not None else {}
-    keep = [i for i, number in enumerate(front.landmarks) if number in submap.slot or number in after]
+    wanted = set(submap.landmarks.tolist())
+    if following is not None:
+        wanted.update(following.landmarks.tolist())
+    keep = [i for i, number in enumerate(front.landmarks) if number in wanted]
     gone = np.array([3 + 2 * i + a for i in range(len(front.landmarks)) if i not in keep for a in (0, 1)], dtype=int)
     information, vector = _eliminate(front.information, front.vector, gone)
     landmarks = [front.landmarks[i] for i in keep]
@@ -108,13 +120,15 @@ def condition(front: Front, submap: Submap, following: Submap | None = None) -> 
     """
     front = _carried(front, submap, following)
     landmarks = list(front.landmarks)
+    slots = submap.slots()
     if following is not None:
-        landmarks += [int(i) for i in submap.landmarks if int(i) in following.slot and int(i) not in landmarks]
-    shared = [i for i in landmarks if i in submap.slot]
+        after = following.slots()
+        landmarks += [i for i in slots if i in after and i not in landmarks]
+    shared = [i for i in landmarks if i in slots]
     points = np.empty((len(landmarks), 2))
     points[: len(front.landmarks)] = front.points
     for i in range(len(front.landmarks), len(landmarks)):
-        at = submap.slot[landmarks[i]]
+        at = slots[landmarks[i]]
         points[i] = transform(front.frame, float(submap.mean[at]), float(submap.mean[at + 1]))
     values = np.concatenate([front.frame, compose(front.frame, submap.pose), points.ravel()])
     start = values.copy()
@@ -148,7 +162,8 @@ def condition(front: Front, submap: Submap, following: Submap | None = None) -> 
 def advance(front: Front, submap: Submap, following: Submap) -> Front:
     """The front of ``following``, whose frame is the end of the closed ``submap``."""
     joint = condition(front, submap, following)
-    keep = [i for i, number in enumerate(joint.landmarks) if number in following.slot]
+    after = following.slots()
+    keep = [i for i, number in enumerate(joint.landmarks) if number in after]
     kept = np.array([3, 4, 5, *(6 + 2 * i + a for i in keep for a in (0, 1))])
     gone = np.setdiff1d(np.arange(3 if front.fixed else 0, joint.H.shape[0]), kept)
     H, g = joint.H, np.zeros_like(joint.g)  # converged: no gradient is left

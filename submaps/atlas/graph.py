@@ -1,7 +1,8 @@
 """The graph of relative transforms between sub-maps, and the surest path through it.
 
-An ``exit`` edge is a sub-map's end pose, where the next began. A ``tie`` joins two sub-maps that hold
-two or more landmarks in common, by weighted least squares. The transform between any two sub-maps
+An ``exit`` edge is a sub-map's end pose, where the next began. A ``tie`` joins two sub-maps of one
+component that hold two or more landmarks in common, by weighted least squares. A ``start`` is where
+a robot's first sub-map lies as its operator said. The transform between any two sub-maps
 composes along the path that a uniform-cost search finds, its cost the determinant of the composed
 covariance (Bosse, Newman, Leonard, Teller, IJRR 23(12), 2004).
 """
@@ -18,14 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps.atlas.placed import additive_covariance, as_pose
-from submaps.atlas.state import AtlasState
+from submaps.atlas.state import AtlasState, submap_of
 from submaps.atlas.tie import fit
+from submaps.config import Start
 from submaps.errors import NotConnected, NumericalError
 from submaps.geometry.se2 import ORIGIN, Pose, compose, compose_covariance, inverse, inverse_covariance
 from submaps.submap import Submap
 
 Floats = NDArray[np.float64]
-Kind = Literal["exit", "tie"]
+Kind = Literal["exit", "tie", "start"]
 Pair = tuple[Kind, int, int]
 # Lets a path of edges without variance still cost something for each edge: (1e-4 m)^4 (1e-5 rad)^2.
 _FLOOR = np.diag([1e-8, 1e-8, 1e-10])
@@ -42,6 +44,11 @@ class Edge:
     covariance: Floats
 
 
+def origin_of(state: AtlasState, start: Start) -> int:
+    """The sub-map in whose frame a start is given; ``map`` is the first one's."""
+    return submap_of(start.frame) or 0
+
+
 class Graph:
     """The graph of one state; edges are computed when asked for, those of closed sub-maps once."""
 
@@ -53,6 +60,8 @@ class Graph:
         self._own: dict[Pair, Edge] = {}
         self._settled: dict[Pair, Edge] = state.settled.setdefault("edges", {})
         self._settled_older: dict[int, list[Pair]] = state.settled.setdefault("older", {})
+        self._untied = frozenset() if state.solution is None else state.solution.untied
+        self._starts = {r.first: origin_of(state, r.start) for r in state.fleet if r.start is not None}
 
     def pairs(self) -> list[Pair]:
         """(kind, a, b) of every edge, by the younger of its two sub-maps."""
@@ -66,21 +75,26 @@ class Graph:
             return self._settled_older[number]
         submap = self._state.submap(number)
         found: list[Pair] = [("exit", submap.previous, number)] if submap.previous >= 0 else []
+        if self._starts.get(number, number) != number:
+            found.append(("start", self._starts[number], number))
         found += [("tie", k, number) for k in self._tied(number) if k < number]
         if number < self._first_active:
             self._settled_older[number] = found
         return found
 
     def _tied(self, number: int) -> list[int]:
-        """Sub-maps of the same robot that hold at least two landmarks in common with this one."""
-        state = self._state
+        """Sub-maps of the same component that hold at least two landmarks in common with this one."""
+        state, untied = self._state, self._untied
         submap = state.submap(number)
         common: dict[int, int] = {}
-        for landmark in submap.slot:
+        for landmark in submap.landmarks.tolist():
+            if (number, landmark) in untied:
+                continue
             for k in state.submaps_with(landmark):
-                common[k] = common.get(k, 0) + 1
-        same = (k for k, n in common.items() if n >= 2 and k != number and state.submap(k).robot == submap.robot)
-        return sorted(same)
+                common[k] = common.get(k, 0) + ((k, landmark) not in untied)
+        root = state.roots[submap.robot]
+        several = (k for k, n in common.items() if n >= 2 and k != number)
+        return sorted(k for k in several if state.roots[state.submap(k).robot] == root)
 
     def neighbours(self, number: int) -> list[Pair]:
         """Every edge of a sub-map."""
@@ -91,6 +105,7 @@ class Graph:
                 found.append(("exit", submap.previous, number))
             if not submap.active:
                 found.append(("exit", number, submap.following))
+            found += [("start", a, b) for b, a in self._starts.items() if a != b and number in (a, b)]
             self._near[number] = found
         return self._near[number]
 
@@ -102,14 +117,18 @@ class Graph:
         if key not in known:
             if kind == "tie":
                 known[key] = self._tie(first, second)
+            elif kind == "start":
+                known[key] = self._start(first, second)
             else:
                 known[key] = Edge(kind, a, b, first.pose, additive_covariance(first, [], with_pose=True))
         return known[key]
 
     def _tie(self, first: Submap, second: Submap) -> Edge:
         """The tie of two sub-maps with common landmarks (see ``atlas.tie``)."""
-        common = [i for i in first.slot if i in second.slot]
-        slots_a, slots_b = [first.slot[i] for i in common], [second.slot[i] for i in common]
+        in_first, in_second = first.slots(), second.slots()
+        untied = self._untied
+        common = [i for i in in_first if i in in_second and not {(first.number, i), (second.number, i)} & untied]
+        slots_a, slots_b = [in_first[i] for i in common], [in_second[i] for i in common]
         A = np.array([first.mean[k : k + 2] for k in slots_a])
         B = np.array([second.mean[k : k + 2] for k in slots_b])
         T, covariance = np.empty(3), np.empty((3, 3))
@@ -118,6 +137,15 @@ class Graph:
                 f"tie of sub-maps {first.number} and {second.number}: covariance not positive definite"
             )
         return Edge("tie", first.number, second.number, as_pose(T), covariance)
+
+    def _start(self, first: Submap, second: Submap) -> Edge:
+        start, base = self._state.fleet[second.robot].start, self._state.fleet[0].start
+        assert start is not None
+        T, covariance = start.pose, np.array(start.covariance)
+        if base is not None and start.frame == "map":  # the first sub-map is not where `map` is
+            back, own = inverse(base.pose), inverse_covariance(base.pose, np.array(base.covariance))
+            T, covariance = compose(back, T), compose_covariance(back, own, T, covariance)
+        return Edge("start", first.number, second.number, T, covariance)
 
     def path(self, source: int, target: int) -> tuple[Pose, Floats, list[int]]:
         """T_source_target along the surest path, its covariance, and the path.

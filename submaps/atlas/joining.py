@@ -2,22 +2,29 @@
 
 Started from the odometry chain, Gauss-Newton falls into wrong minima. So the solution is grown: each
 sub-map is placed by the solution so far, and the whole is settled after every few sub-maps that tie
-to others than their neighbour. What the last solve has placed is where the next begins.
+to others than their neighbour. What the last solve has placed is where the next begins. Components
+that have come to share landmarks are aligned and become one (see ``atlas.meeting``); with a gate,
+ties that do not agree with the rest are taken back (see ``atlas.ties``).
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from submaps.atlas import meeting, ties
 from submaps.atlas.component import Component
-from submaps.atlas.solution import Solution
+from submaps.atlas.solution import Components, Solution, by_root
 from submaps.atlas.sparse import Factorisation
 from submaps.atlas.state import AtlasState
+from submaps.consistency import chi_square_bound
 from submaps.errors import NumericalError
+from submaps.geometry.se2 import ORIGIN
 
 Floats = NDArray[np.float64]
 
@@ -28,6 +35,8 @@ _SETTLED_M = 1e-3
 _CONVERGED_M = 1e-7
 _SETTLING_ITERATIONS = 3
 _MOST_ITERATIONS = 60
+# Rounds of taking ties back; each takes all that stand out, so a few are enough.
+_TIE_ROUNDS = 8
 
 
 @dataclass
@@ -41,10 +50,19 @@ class _Solver:
     iterations: int = 0
     cost: float = 0.0
 
-    def settle(self, factors: int, most: int, tolerance: float) -> None:
-        """Gauss-Newton on the first ``factors`` factors; a step that raises the cost is halved."""
+    @classmethod
+    def of(cls, component: Component) -> _Solver:
+        """One that has not solved yet."""
+        return cls(component, np.empty(component.pattern.indices.shape[0]), np.empty(component.pattern.size))
+
+    def converge(self) -> None:
+        """Settle the whole, all the way."""
+        self.settle(len(self.component.members), _MOST_ITERATIONS, _CONVERGED_M)
+
+    def settle(self, members: int, most: int, tolerance: float) -> None:
+        """Gauss-Newton on the first ``members``; a step that raises the cost is halved."""
         c = self.component
-        cost = c.assemble(factors, self.data, self.gradient)
+        cost = c.assemble(members, self.data, self.gradient)
         for _ in range(most):
             if self.factorisation is None:
                 self.factorisation = Factorisation(c.pattern, self.data)
@@ -53,11 +71,11 @@ class _Solver:
             step = -self.factorisation.solve(self.gradient)
             before = cost
             c.move(step)
-            cost = c.assemble(factors, self.data, self.gradient)
+            cost = c.assemble(members, self.data, self.gradient)
             while not cost <= before * (1.0 + 1e-9) + 1e-9 and float(np.abs(step).max(initial=0.0)) > tolerance:
                 c.move(-0.5 * step)
                 step *= 0.5
-                cost = c.assemble(factors, self.data, self.gradient)
+                cost = c.assemble(members, self.data, self.gradient)
             self.iterations += 1
             if not math.isfinite(cost):
                 raise NumericalError("the joined problem left the finite numbers")
@@ -69,59 +87,133 @@ class _Solver:
 def join(state: AtlasState) -> Solution:
     """The joined solution of an atlas: argmin over frames and landmarks of sum xi_k^T P_k^-1 xi_k.
 
-    Each robot's chain is a component of its own, in the frame of its first sub-map. Raises
-    ``NumericalError`` where a pivot is not positive.
+    A component is solved in the frame of its first robot's first sub-map (or, where that robot has a
+    start, in the frame of the start). Raises ``NumericalError`` where a pivot is not positive.
     """
+    last = state.solution
+    known = (
+        {}
+        if last is None
+        else {n: p for root in set(last.roots) for n, p in last.component(root).known_parts().items()}
+    )
+    components = Components(state, () if last is None else last.untied, known)
+    solvers = {root: _grow(components.of(robots), last) for root, robots in by_root(state.roots).items()}
+    iterations = sum(s.iterations for s in solvers.values())
+    roots = list(state.roots)
+    while (meet := _meet(components, solvers, roots)) is not None:
+        components, roots, used = meet
+        iterations += used
+    if state.config.gate is not None:
+        components, used = _check_ties(components, solvers, roots)
+        iterations += used
+    return _collect(components, solvers, roots, iterations)
+
+
+def _collect(components: Components, solvers: dict[int, _Solver], roots: list[int], iterations: int) -> Solution:
+    state = components.state
     frames = np.full((state.submap_count, 3), np.nan)
     ends = np.full((len(state.robots), 3), np.nan)
-    components: dict[int, Component] = {}
-    iterations, cost = 0, 0.0
-    for robot in sorted(state.robots.values(), key=lambda r: r.number):
-        last = state.solution
-        before = last.component(robot.number) if last is not None and robot.number < len(last.base.robots) else None
-        component = Component(state.chain(robot.number), before)
-        known = _start(component, state.solution)
-        solver = _grow(component, known)
-        iterations += solver.iterations
-        cost += solver.cost
-        frames[[s.number for s in component.chain]] = component.frames[:-1]
-        ends[robot.number] = component.frames[-1]
-        components[robot.number] = component
-    landmarks = np.concatenate([*(c.points for c in components.values()), np.empty((0, 2))])
-    return Solution(replace(state, solution=None), frames, ends, landmarks, iterations, cost, components)
+    parts = {root: solver.component for root, solver in sorted(solvers.items())}
+    for part in parts.values():
+        frames[part.numbers] = part.frames[part.frame_at]
+        for f, submap in enumerate(part.members):
+            if submap.active:
+                ends[submap.robot] = part.frames[part.end_at[f]]
+    landmarks = np.concatenate([*(c.points for c in parts.values()), np.empty((0, 2))])
+    cost = sum(solver.cost for solver in solvers.values())
+    base = replace(state, solution=None)
+    return Solution(base, frames, ends, landmarks, iterations, cost, roots, components.untied, parts)
 
 
-def _start(component: Component, solution: Solution | None) -> int:
-    """Take over what the last solve placed; returns how many factors' frames and ends it covers."""
-    component.frames[1:] = np.nan
-    if solution is None:
-        return 0
-    numbers = [s.number for s in component.chain]
-    known = sum(number < solution.base.submap_count for number in numbers)
-    component.frames[:known] = solution.frames[numbers[:known]]
-    if known:
-        previous = solution.component(component.chain[0].robot)
-        for number, i in component.variable_of.items():
-            at = previous.variable_of.get(number)
-            if at is not None:
-                component.points[i - len(numbers)] = previous.points[at - len(previous.chain)]
-    return max(known - 1, 0)
-
-
-def _grow(component: Component, known: int) -> _Solver:
-    size = component.pattern.indices.shape[0]
-    solver = _Solver(component, np.empty(size), np.empty(component.pattern.size))
-    last = len(component.chain) - 1
-    holder: dict[int, int] = {}
-    waiting = 0
-    for f in range(last + 1):
-        component.place(f)
-        waiting += any(holder.get(i, f - 1) != f - 1 for i in component.shared[f])
-        holder.update(dict.fromkeys(component.shared[f], f))
+def _grow(component: Component, last: Solution | None) -> _Solver:
+    """Take over what the last solve placed, and grow the rest in order of the sub-maps' numbers."""
+    known = _start(component, last)
+    for f in component.unplaced():
         if f < known:
-            waiting = 0
-        elif f < last and waiting >= max(_TIES_BEFORE_SETTLING, f // 16):
+            component.place(f)
+    holder = component.last_holders(known)
+    solver = _Solver.of(component)
+    end, waiting = len(component.members), 0
+    for f in range(known, end):
+        component.place(f)
+        rows = component.point_rows(f)
+        before = component.at(component.members[f].previous)
+        waiting += bool(np.any((holder[rows] >= 0) & (holder[rows] != before)))
+        holder[rows] = f
+        if f < end - 1 and waiting >= max(_TIES_BEFORE_SETTLING, f // 16):
             solver.settle(f + 1, _SETTLING_ITERATIONS, _SETTLED_M)
             waiting = 0
-    solver.settle(last + 1, _MOST_ITERATIONS, _CONVERGED_M)
+    solver.converge()
     return solver
+
+
+def _start(component: Component, last: Solution | None) -> int:
+    """Take over what the last solve placed; returns how many members it has placed for good."""
+    component.frames[1:] = np.nan
+    if last is None:
+        return 0
+    placed = int(np.searchsorted(component.numbers, last.base.submap_count))
+    component.frames[component.frame_at[:placed]] = last.frames[component.numbers[:placed]]
+    if placed:  # the component was one before, if a smaller one
+        component.take_points(last.component(last.root(int(component.numbers[0]))), ORIGIN)
+    return sum(not last.base.submap(int(number)).active for number in component.numbers[:placed])
+
+
+def _met(solvers: dict[int, _Solver]) -> list[tuple[int, int]]:
+    """Pairs of roots whose components hold at least two landmarks in common."""
+    roots_of: dict[int, list[int]] = {}
+    for root in sorted(solvers):
+        for landmark in solvers[root].component.landmarks:
+            roots_of.setdefault(landmark, []).append(root)
+    common = Counter(pair for roots in roots_of.values() for pair in combinations(roots, 2))
+    return sorted(pair for pair, count in common.items() if count >= 2)
+
+
+def _meet(
+    components: Components, solvers: dict[int, _Solver], roots: list[int]
+) -> tuple[Components, list[int], int] | None:
+    """Make one of the first two components that have met; ``None`` where none have."""
+    for a, b in _met(solvers):
+        mine, theirs = solvers[a], solvers[b]
+        met = meeting.meet(mine.component, theirs.component, components.state.config.gate)
+        if met is None:
+            continue
+        merged = components.without(components.untied | met.untied)
+        joint = merged.of(r for r, root in enumerate(roots) if root in (a, b))
+        joint.take(mine.component, ORIGIN)
+        joint.take(theirs.component, met.transform)
+        solver = _Solver.of(joint)
+        solver.converge()
+        if solver.cost - mine.cost - theirs.cost <= met.most_cost:
+            solvers[a] = solver
+            del solvers[b]
+            return merged, [a if root == b else root for root in roots], solver.iterations
+    return None
+
+
+def _check_ties(components: Components, solvers: dict[int, _Solver], roots: list[int]) -> tuple[Components, int]:
+    """Take ties back, or give them, until all that are new agree with the map."""
+    bound = chi_square_bound(components.state.config.gate or 1.0, 2)
+    iterations = 0
+    for root, robots in by_root(roots).items():
+        for _ in range(_TIE_ROUNDS):
+            component = solvers[root].component
+            untied = ties.checked(component, _news(component, components.state, robots), components.untied, bound)
+            if untied == components.untied:
+                break
+            components = components.without(untied)
+            again = components.of(robots)
+            again.take(component, ORIGIN)
+            solvers[root] = _Solver.of(again)
+            solvers[root].converge()
+            iterations += solvers[root].iterations
+    return components, iterations
+
+
+def _news(component: Component, state: AtlasState, robots: list[int]) -> list[int]:
+    """Members that the last solve did not have as they are, or not in this component."""
+    last = state.solution
+    if last is None or by_root(last.roots).get(robots[0]) != robots:
+        return list(range(len(component.members)))
+    count = last.base.submap_count
+    return [f for f, s in enumerate(component.members) if s.number >= count or last.base.submap(s.number) is not s]

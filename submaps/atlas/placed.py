@@ -93,7 +93,7 @@ class Placed:
         if number in self.shared:
             i = self.shared.index(number)
             return self.points[i], self.covariance[6 + 2 * i : 8 + 2 * i, 6 + 2 * i : 8 + 2 * i]
-        submap, slot = self.submap, self.submap.slot[number]
+        submap, slot = self.submap, self.submap.slot_of(number)
         xi, J, information = self._linearised
         rows = np.concatenate([rows_of(submap, self.shared), [slot, slot + 1]])
         P = submap.covariance(rows)

@@ -174,12 +174,12 @@ def _gather(at: Ints, pointers: NDArray[np.int32], indices: NDArray[np.int32], Z
 class Pattern:
     """Where a set of factors puts its entries in the upper triangle of the normal equations."""
 
-    def __init__(self, widths: Ints, factors: list[Ints]) -> None:
+    def __init__(self, widths: Ints, offsets: Ints, variables: Ints) -> None:
+        """Factor f has the ``variables`` from ``offsets[f]`` to ``offsets[f + 1]``, negative ones fixed."""
         self.start = np.concatenate([[0], np.cumsum(widths)]).astype(np.int64)
-        kept = [f[f >= 0] for f in factors]
-        offsets = np.concatenate([[0], np.cumsum([f.shape[0] for f in kept])]).astype(np.int64)
-        members = np.concatenate([*kept, np.empty(0, dtype=np.int64)]).astype(np.int64)
-        self.begins, self.rows = _block_pattern(offsets, members, widths.shape[0])
+        free = variables >= 0
+        kept = np.concatenate([[0], np.cumsum(free)]).astype(np.int64)[offsets]
+        self.begins, self.rows = _block_pattern(kept, variables[free], widths.shape[0])
         self.pointers, self.indices, self.within = _entries(self.begins, self.rows, self.start)
         self.size = int(self.start[-1])
         self.diagonal = self.pointers[1:] - 1

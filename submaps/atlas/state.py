@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+import re
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from submaps.config import MapConfig
+from submaps.config import MapConfig, Start
 from submaps.errors import UnknownName
 from submaps.geometry.se2 import Pose
 from submaps.submap import Submap
@@ -23,7 +25,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RobotState:
-    """Where a robot is: in its active sub-map (``pose``), and by dead reckoning (``odom``)."""
+    """Where a robot is: in its active sub-map (``pose``), and by dead reckoning (``odom``).
+
+    ``start`` is where its first pose lies, if its operator said so.
+    """
 
     id: str
     number: int
@@ -36,6 +41,7 @@ class RobotState:
     pose: Pose
     odom: Pose
     odom_covariance: Floats
+    start: Start | None = None
 
 
 @dataclass(frozen=True)
@@ -59,6 +65,7 @@ class AtlasState:
     closed_bytes: int
     version: int
     solution: Solution | None = None
+    encounter_count: int = 0
     settled: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -80,12 +87,46 @@ class AtlasState:
 
     def chain(self, robot: int) -> list[Submap]:
         """A robot's sub-maps, from its first to its active one."""
-        return [s for s in self.submaps() if s.robot == robot]
+        return self.members([robot])
+
+    def members(self, robots: Collection[int]) -> list[Submap]:
+        """The sub-maps of some robots, by number."""
+        wanted = set(robots)
+        return [s for s in self.submaps() if s.robot in wanted]
+
+    @cached_property
+    def fleet(self) -> list[RobotState]:
+        """Every robot, by number."""
+        return sorted(self.robots.values(), key=lambda r: r.number)
+
+    @cached_property
+    def roots(self) -> list[int]:
+        """For each robot the lowest number among the robots of its component.
+
+        Components are those of the last solve; a robot with a start belongs to that of its frame.
+        """
+        roots = list(range(len(self.fleet)))
+        if self.solution is not None:
+            roots[: len(self.solution.roots)] = self.solution.roots
+        for robot in self.fleet:
+            if robot.start is not None:
+                k = submap_of(robot.start.frame)
+                a, b = roots[0 if k is None else self.submap(k).robot], roots[robot.number]
+                roots = [min(a, b) if root in (a, b) else root for root in roots]
+        return roots
+
+    @cached_property
+    def _active_holders(self) -> dict[int, list[int]]:
+        holders: dict[int, list[int]] = {}
+        for k, submap in self.active.items():
+            for landmark in submap.landmarks.tolist():
+                holders.setdefault(landmark, []).append(k)
+        return holders
 
     def submaps_with(self, landmark: int) -> list[int]:
         """Numbers of the sub-maps that hold a landmark, active ones included."""
         closed = [k for k in list(self.sightings[landmark]) if k < self.submap_count and k not in self.active]
-        return sorted(closed + [k for k, s in self.active.items() if landmark in s.slot])
+        return sorted(closed + self._active_holders.get(landmark, []))
 
     def robot(self, name: str) -> RobotState:
         """A robot by name; raises ``UnknownName``."""
@@ -97,8 +138,21 @@ class AtlasState:
         """Digest of everything that a solve is computed from."""
         digest = hashlib.blake2b(digest_size=16)
         for submap in self.submaps():
-            digest.update(submap.digest)
+            digest.update(submap.digest())
         if self.solution is not None:
-            digest.update(self.solution.frames.tobytes())
-            digest.update(self.solution.landmarks.tobytes())
+            for array in self.solution.starting_point():
+                digest.update(array.tobytes())
+        for robot in self.fleet:
+            if robot.start is not None:
+                digest.update(repr((robot.number, robot.start)).encode())
         return digest.digest()
+
+
+def submap_of(frame: str) -> int | None:
+    """The number in ``submap/k``, ``None`` for ``map``; raises ``UnknownName``."""
+    if frame == "map":
+        return None
+    match = re.fullmatch(r"submap/(\d{1,9})", frame)
+    if match is None:
+        raise UnknownName(f"frame {frame!r}: expected map, odom or submap/NUMBER")
+    return int(match[1])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import re
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,9 +13,10 @@ from numpy.typing import NDArray
 from submaps.atlas.front import Front, advance, condition
 from submaps.atlas.graph import Edge, Graph
 from submaps.atlas.placed import Placed, additive_covariance, as_pose, rotation
-from submaps.atlas.state import AtlasState, RobotState
+from submaps.atlas.state import AtlasState, RobotState, submap_of
 from submaps.errors import NotConnected, UnknownName
 from submaps.geometry.se2 import ORIGIN, Pose, compose, compose_covariance, inverse, transform
+from submaps.measurements import as_encounter
 from submaps.submap import Submap
 
 Floats = NDArray[np.float64]
@@ -76,6 +76,7 @@ class View:
         self._names = {r.number: r.id for r in state.robots.values()}
         self._lock = threading.RLock()
         self._placed: dict[int, Placed] = {}
+        self._outside: dict[int, int] = {}
 
     @property
     def version(self) -> int:
@@ -95,7 +96,7 @@ class View:
             "steps": sum(r.steps for r in robots),
             "observations": sum(r.observations for r in robots),
             "rejected": sum(r.rejected for r in robots),
-            "landmarks": self.state.landmark_count,
+            "landmarks": self.state.landmark_count - self.state.encounter_count,
             "submaps": self.state.submap_count,
             "edges": len(self.graph.pairs()),
             "bytes": self.state.closed_bytes + sum(s.nbytes for s in self.state.active.values()),
@@ -113,7 +114,7 @@ class View:
         submap = state.submap(number)
         if solution is not None and number < solution.base.submap_count:
             then = solution.base.submap(number)
-            if then is submap or (then.active and submap.active and then.digest == submap.digest):
+            if then is submap or (then.active and submap.active and then.digest() == submap.digest()):
                 return solution.placed(number)
         with self._lock:
             if number not in self._placed:
@@ -128,15 +129,33 @@ class View:
             at = self.state.submap(at.previous)
             since.append(at)
         if solution is None or at.number >= solution.base.submap_count:
-            front = Front.first()
+            front = self._first_front(at)
         else:
-            front = Front.of_solution(solution.placed(at.number), fixed=at.previous < 0)
+            rooted = at.previous < 0 and solution.roots[at.robot] == at.robot
+            front = Front.of_solution(solution.placed(at.number), rooted and self.state.fleet[at.robot].start is None)
         for before, after in itertools.pairwise(reversed(since)):
             front = advance(front, before, after)
         return front
 
+    def _first_front(self, submap: Submap) -> Front:
+        """That of a robot's first sub-map which no solve has seen."""
+        start = self.state.fleet[submap.robot].start
+        if start is None:
+            return Front.first()
+        pose, covariance = start.pose, np.array(start.covariance)
+        k = submap_of(start.frame)
+        if k is not None:
+            base = self.placed(k)
+            covariance = compose_covariance(base.frame, base.frame_covariance, pose, covariance)
+            pose = compose(base.frame, pose)
+        return Front.of_start(pose, covariance)
+
+    def connected(self, robot: int) -> bool:
+        """Whether a robot (by number) has a place in ``map``."""
+        return self.state.roots[robot] == 0
+
     def _in_map(self, submap: Submap) -> None:
-        if submap.robot != 0:
+        if not self.connected(submap.robot):
             names = self._names
             own, first = names[submap.robot], names[0]
             raise NotConnected(f"no ties lead from robot {own!r} to 'map', the frame of robot {first!r}'s first pose")
@@ -155,13 +174,10 @@ class View:
 
     def _submap_of(self, frame: str) -> int | None:
         """The number in ``submap/k``, ``None`` for ``map``; raises ``UnknownName``."""
-        if frame == "map":
-            return None
-        match = re.fullmatch(r"submap/(\d{1,9})", frame)
-        if match is None:
-            raise UnknownName(f"frame {frame!r}: expected map, odom or submap/NUMBER")
-        self.state.submap(int(match[1]))
-        return int(match[1])
+        number = submap_of(frame)
+        if number is not None:
+            self.state.submap(number)
+        return number
 
     # -- poses -------------------------------------------------------------------------------
 
@@ -191,12 +207,13 @@ class View:
 
     def landmark_ids(self) -> Sequence[str]:
         """Names of the landmarks in order of first sighting."""
-        return self.state.names[: self.state.landmark_count]
+        return [name for name in self.state.names[: self.state.landmark_count] if as_encounter(name) is None]
 
     def landmark(self, name: str, frame: str = "map") -> LandmarkEstimate:
         """A landmark in ``map`` or ``submap/k``; raises ``UnknownName`` and ``NotConnected``."""
         number = self.state.number_of.get(name, self.state.landmark_count)
-        if number >= self.state.landmark_count or not self.state.submaps_with(number):
+        seen = number < self.state.landmark_count and self.state.submaps_with(number)
+        if not seen or as_encounter(name) is not None:
             raise UnknownName(f"landmark {name!r} has not been seen in this map")
         return self._landmark(number, frame)
 
@@ -204,15 +221,24 @@ class View:
         holders = self.state.submaps_with(number)
         target = self._submap_of(frame)
         if target is None:
-            own = [k for k in holders if self.state.submap(k).robot == 0]
+            own = [k for k in holders if self.connected(self.state.submap(k).robot)]
             if not own:
                 self._in_map(self.state.submap(holders[0]))
-            point, covariance = self._joined(number, own)
+            point, covariance = self._joined(number, [k for k in own if not self._is_untied(k, number)] or own)
         else:
             point, covariance = self._by_path(number, holders, target)
         return LandmarkEstimate(
             self.state.names[number], float(point[0]), float(point[1]), covariance, tuple(holders)
         )  # fmt: skip
+
+    def _is_untied(self, submap: int, landmark: int) -> bool:
+        solution = self.state.solution
+        return solution is not None and (submap, landmark) in solution.untied
+
+    def untied(self, submap: int) -> list[str]:
+        """Names of a sub-map's landmarks whose first sighting there does not agree with the map."""
+        untied = () if self.state.solution is None else self.state.solution.untied
+        return [self.state.names[i] for k, i in sorted(untied) if k == submap]
 
     def _joined(self, number: int, holders: list[int]) -> tuple[Floats, Floats]:
         """From the newest sub-map that the solution reaches through it, else from the solution."""
@@ -220,15 +246,17 @@ class View:
         newest = self.placed(holders[-1])
         if solution is None or number in newest.shared:
             return newest.landmark(number)
-        base = [k for k in holders if k < solution.base.submap_count and number in solution.base.submap(k).slot]
+        base = [k for k in holders if k < solution.base.submap_count and solution.base.submap(k).holds(number)]
         if not base:
             return newest.landmark(number)
         return solution.point(0, number) or solution.placed(base[0]).landmark(number)
 
     def _by_path(self, number: int, holders: list[int], target: int) -> tuple[Floats, Floats]:
-        k = target if target in holders else min(holders, key=lambda h: abs(h - target))
+        root = self.state.roots[self.state.submap(target).robot]
+        near = [h for h in holders if self.state.roots[self.state.submap(h).robot] == root] or holders
+        k = target if target in holders else min(near, key=lambda h: abs(h - target))
         submap = self.state.submap(k)
-        slot = submap.slot[number]
+        slot = submap.slot_of(number)
         point, covariance = submap.mean[slot : slot + 2], additive_covariance(submap, [slot])
         if k == target:
             return point, covariance
@@ -250,7 +278,7 @@ class View:
         for number in range(start, self.state.landmark_count):
             if len(found) == limit:
                 return found, number
-            if not self.state.submaps_with(number):
+            if as_encounter(self.state.names[number]) is not None or not self.state.submaps_with(number):
                 continue
             try:
                 estimate = self._landmark(number, frame)
@@ -260,12 +288,28 @@ class View:
                 found.append(estimate)
         return found, None
 
+    def not_connected(self, frame: str = "map") -> int:
+        """How many landmarks have no place in ``map``, or by paths of ties in ``submap/k``."""
+        target = self._submap_of(frame)
+        root = 0 if target is None else self.state.roots[self.state.submap(target).robot]
+        if set(self.state.roots) <= {root}:
+            return 0
+        if root not in self._outside:
+            inside = np.zeros(self.state.landmark_count, dtype=bool)
+            for submap in self.state.submaps():
+                if self.state.roots[submap.robot] == root:
+                    inside[submap.landmarks] = True
+            missing = np.flatnonzero(~inside).tolist()
+            names = (self.state.names[i] for i in missing)
+            self._outside[root] = sum(as_encounter(name) is None for name in names)
+        return self._outside[root]
+
     # -- sub-maps and the graph --------------------------------------------------------------
 
     def submap(self, number: int) -> SubmapState:
         """What the atlas says of a sub-map; raises ``UnknownName``."""
         s = self.state.submap(number)
-        placed = self.placed(number) if s.robot == 0 else None
+        placed = self.placed(number) if self.connected(s.robot) else None
         return SubmapState(
             id=number, robot=self._names[s.robot], active=s.active,
             pose=placed.frame if placed else None, covariance=placed.frame_covariance if placed else None,
@@ -287,7 +331,9 @@ class View:
         """A sub-map's landmarks in its own frame."""
         s = self.state.submap(number)
         found = []
-        for i, slot in s.slot.items():
+        for i, slot in s.slots().items():
+            if as_encounter(self.state.names[i]) is not None:
+                continue
             covariance = additive_covariance(s, [slot])
             x, y = float(s.mean[slot]), float(s.mean[slot + 1])
             found.append(LandmarkEstimate(self.state.names[i], x, y, covariance, tuple(self.state.submaps_with(i))))

@@ -120,4 +120,4 @@ class Shelf:
 
     def twice(self) -> Shelf:
         """An empty shelf with twice the room."""
-        return Shelf(self.whole.shape[0], 2 * self.reals.shape[0])
+        return Shelf(2 * self.whole.shape[0], 2 * self.reals.shape[0])

@@ -23,7 +23,7 @@ from submaps.observation.models import innovation, invert, predict
 
 Floats = NDArray[np.float64]
 
-USED, GATED, FLAGGED, SINGULAR, FIRST = 0, 1, 2, 3, 4
+USED, GATED, FLAGGED, SINGULAR, LATE, FIRST = 0, 1, 2, 3, 4, 5
 # A pass over P rounds entry (i, j) by some ulps of sqrt(P_ii P_jj); this much of the diagonal,
 # times n, is given back so that P stays positive definite. It loses information, invents none.
 _ROUNDING = 16.0 * EPSILON

@@ -19,6 +19,7 @@ from submaps.filtering.kernel import (
     update,
 )
 from submaps.filtering.layout import (
+    BODY,
     DIM,
     DONE,
     FLAG,
@@ -41,6 +42,7 @@ from submaps.filtering.layout import (
     STEPS,
 )
 from submaps.geometry.trig import sincos, wrap
+from submaps.observation.models import CARTESIAN
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -93,19 +95,30 @@ def _wants_genesis(new: int, x: Floats, P: Floats, counts: Ints, motion: Floats,
 
 @jit()
 def _observe(
-    begin: int, end: int, landmark: Ints, z: Floats, R: Floats, whole: Ints, real: Floats, x: Floats, P: Floats,
-    ids: Ints, counts: Ints, motion: Floats, slot_of: NDArray[np.int32], scratch: Floats, nis: Floats,
-    status: NDArray[np.uint8],
+    begin: int, end: int, landmark: Ints, z: Floats, R: Floats, own: NDArray[np.uint8], whole: Ints, real: Floats,
+    x: Floats, P: Floats, ids: Ints, counts: Ints, motion: Floats, slot_of: NDArray[np.int32], scratch: Floats,
+    nis: Floats, status: NDArray[np.uint8],
 ) -> None:  # fmt: skip
     """Predict with the pending increment, then take one step's observations in turn."""
     u, a, b = scratch[0], scratch[1], scratch[2]
     mount = real[MOUNT : MOUNT + 4]
     model, invariant = whole[MODEL], whole[INVARIANT] != 0
+    observed = 0
     has_u = predict(x, P, counts[DIM], motion, whole[INVARIANT], u)
     for o in range(begin, end):
         n = counts[DIM]
         slot = slot_of[landmark[o]]
         Ro = R[o if R.shape[0] > 1 else 0]
+        if own[o] != 0:
+            if has_u:
+                add_rank_one(P, n, u)
+                has_u = False
+            if slot < 0 and augment(x, P, n, CARTESIAN, real[BODY : BODY + 4], 0.0, 0.0, Ro, invariant):
+                slot_of[landmark[o]] = n
+                ids[(n - 3) // 2] = landmark[o]
+                counts[DIM] = n + 2
+            continue
+        observed = 1
         if slot >= 0:
             status[o], nis[o] = update(
                 x, P, n, slot, model, mount, z[0, o], z[1, o], Ro, real[GATE], real[FLAG], invariant, u, has_u, a, b
@@ -132,30 +145,31 @@ def _observe(
         counts[OBSERVATIONS] += 1
     if has_u:
         add_rank_one(P, counts[DIM], u)
-    counts[OBSERVED] += 1
+    counts[OBSERVED] += observed
 
 
 @jit(
     "UniTuple(int64, 2)(int64, boolean, float64[:, ::1], float64[:, :, ::1], int64[::1], int64[::1], int64[::1],"
-    "float64[:, ::1], float64[:, :, ::1], int64[::1], float64[::1], float64[::1], float64[:, ::1], int64[::1],"
-    "int64[::1], float64[::1], int32[::1], float64[:, ::1], float64[::1], uint8[::1], float64[:, ::1], int32[::1],"
-    "int64[:, ::1], float64[::1], int64[::1], int64[::1])"
+    "float64[:, ::1], float64[:, :, ::1], uint8[::1], int64[::1], float64[::1], float64[::1], float64[:, ::1],"
+    "int64[::1], int64[::1], float64[::1], int32[::1], float64[:, ::1], float64[::1], uint8[::1], float64[:, ::1],"
+    "int32[::1], int64[:, ::1], float64[::1], int64[::1], int64[::1])"
 )
 def walk(
     step: int, resumed: bool, increments: Floats, noises: Floats, control_step: Ints, observation_step: Ints,
-    landmark: Ints, z: Floats, R: Floats, whole: Ints, real: Floats, x: Floats, P: Floats, ids: Ints,
-    counts: Ints, motion: Floats, slot_of: NDArray[np.int32], scratch: Floats, nis: Floats,
+    landmark: Ints, z: Floats, R: Floats, own: NDArray[np.uint8], whole: Ints, real: Floats, x: Floats, P: Floats,
+    ids: Ints, counts: Ints, motion: Floats, slot_of: NDArray[np.int32], scratch: Floats, nis: Floats,
     status: NDArray[np.uint8], track: Floats, chapter: NDArray[np.int32],
     shelf_whole: Ints, shelf_reals: Floats, shelf_ids: Ints, fill: Ints,
 ) -> tuple[int, int]:  # fmt: skip
     """Apply the steps from ``step`` on to the active sub-map and those that follow it; (event, step).
 
     ``resumed`` says that the first step's control has been taken already. ``R`` holds one
-    covariance for all observations or one for each. Writes each observation's ``status`` and
-    ``nis``, and for each step the pose after it in ``track`` and, in ``chapter``, how many sub-maps
-    had been put on the shelf (``filtering.closing``) before. Events: DONE; GENESIS, where the shelf
-    has no room for a sub-map that must close before this step's observations; GROW, where the
-    state's arrays are too small for them.
+    covariance for all observations or one for each. Where ``own`` is not 0, an observation marks the
+    robot's own position, for another robot saw it there; where it is 2, the step is there for marks
+    alone. Writes each observation's ``status`` and ``nis``, and for each step the pose after it in
+    ``track`` and, in ``chapter``, how many sub-maps had been put on the shelf (``filtering.closing``)
+    before. Events: DONE; GENESIS, where the shelf has no room for a sub-map that must close before
+    this step's observations; GROW, where the state's arrays are too small for them.
     """
     noise = motion[NOISE : NOISE + 9].reshape(3, 3)
     c = int(np.searchsorted(control_step, step + (1 if resumed else 0)))
@@ -165,7 +179,7 @@ def walk(
             accumulate(motion[:3], noise, increments[c], noises[c])
             c += 1
         resumed = False
-        end = i
+        end, marked = i, False
         while end < observation_step.shape[0] and observation_step[end] == step:
             end += 1
         if end > i:
@@ -179,9 +193,10 @@ def walk(
                 new = _new_landmarks(landmark, slot_of, i, end)
             if counts[DIM] + 2 * new > P.shape[0]:
                 return GROW, step
-            _observe(i, end, landmark, z, R, whole, real, x, P, ids, counts, motion, slot_of, scratch, nis, status)
+            marked = own[i] == 2
+            _observe(i, end, landmark, z, R, own, whole, real, x, P, ids, counts, motion, slot_of, scratch, nis, status)
             i = end
-        counts[STEPS] += 1
+        counts[STEPS] += not marked
         sine, cosine = sincos(x[2])
         track[step, 0] = x[0] + cosine * motion[0] - sine * motion[1]
         track[step, 1] = x[1] + sine * motion[0] + cosine * motion[1]

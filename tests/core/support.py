@@ -179,7 +179,7 @@ class Kernel:
         self._slots = np.full(64, -1, dtype=np.int32)
         self._whole = np.array([MODELS[model], int(invariant), 1000, 1], dtype=np.int64)
         c, s = math.cos(mount[2]), math.sin(mount[2])
-        self._real = np.array([mount[0], mount[1], c, s, gate, chi_square_bound(0.9999, 2), math.inf, math.inf])
+        self._real = np.array([mount[0], mount[1], c, s, gate, chi_square_bound(0.9999, 2), math.inf, math.inf, 0, 0, 1, 0])
 
     def set(self, x: Floats, P: Floats) -> None:
         """Start from a state; landmark i lies at entry 3 + 2 i."""
@@ -201,8 +201,8 @@ class Kernel:
             0, False, np.zeros((controls, 3)) + (0.0 if increment is None else increment),
             np.zeros((controls, 3, 3)) + (0.0 if noise is None else noise), np.zeros(controls, dtype=np.int64),
             np.zeros(count, dtype=np.int64), np.array([i for i, _ in sightings], dtype=np.int64), z, R[np.newaxis],
-            self._whole, self._real, s.x, s.P, s.ids, s.counts, s.motion, self._slots, s.scratch, nis, status,
-            np.empty((1, 3)), np.empty(1, dtype=np.int32), shelf.whole, shelf.reals, shelf.ids, shelf.fill,
+            np.zeros(count, dtype=np.uint8), self._whole, self._real, s.x, s.P, s.ids, s.counts, s.motion, self._slots, s.scratch,
+            nis, status, np.empty((1, 3)), np.empty(1, dtype=np.int32), shelf.whole, shelf.reals, shelf.ids, shelf.fill,
         )  # fmt: skip
         assert (event, after) == (DONE, 1)
         return [int(v) for v in status], [float(v) for v in nis]
@@ -327,7 +327,7 @@ def atlas(submaps: Sequence[Submap], config: MapConfig = ODOMETRY) -> AtlasState
         config=replace(config, filter="invariant" if submaps[0].invariant else "standard"),
         records=[None if s.active else s for s in submaps], submap_count=len(submaps), active=active, names=names,
         landmark_count=count, number_of={name: i for i, name in enumerate(names)},
-        sightings=[[s.number for s in submaps if not s.active and i in s.slot] for i in range(count)],
+        sightings=[[s.number for s in submaps if not s.active and s.holds(i)] for i in range(count)],
         robots=robots, closed_bytes=0, version=0,
     )  # fmt: skip
 
@@ -403,7 +403,7 @@ def dense_join(submaps: Sequence[Submap]) -> Dense:
     pose = np.zeros(3)
     roots, entries = [], []
     for k, s in enumerate(submaps):
-        for i, slot in s.slot.items():
+        for i, slot in s.slots().items():
             if np.isnan(values[place[i]]):
                 values[place[i] : place[i] + 2] = pose[:2] + R(pose[2]) @ s.mean[slot : slot + 2]
         pose = after(pose, s.mean[:3])

@@ -42,8 +42,8 @@ def test_a_tie_is_weighted_least_squares_on_the_common_landmarks(invariant: bool
     edge = Graph(atlas(held)).edge("tie", 0, 2)
     a, b = held[0], held[2]
     common = [1, 2, 3]
-    rows_a = [a.slot[i] + k for i in common for k in (0, 1)]
-    rows_b = [b.slot[i] + k for i in common for k in (0, 1)]
+    rows_a = [a.slot_of(i) + k for i in common for k in (0, 1)]
+    rows_b = [b.slot_of(i) + k for i in common for k in (0, 1)]
     cov_a, cov_b = additive(a)[np.ix_(rows_a, rows_a)], additive(b)[np.ix_(rows_b, rows_b)]
     A, B = a.mean[rows_a].reshape(-1, 2), b.mean[rows_b].reshape(-1, 2)
     T = np.array(edge.transform)

@@ -70,7 +70,7 @@ def test_landmarks_of_one_submap_are_recovered(invariant: bool) -> None:
     held = chain(LOOP, seed=2, invariant=invariant)
     _, solution, dense = solved(held)
     for k, s in enumerate(held):
-        for number in s.slot:
+        for number in s.slots():
             point, covariance = solution.placed(k).landmark(number)
             at = dense.landmark_at(number)
             expected = dense.covariance[np.ix_(at, at)]
@@ -171,7 +171,7 @@ def test_columns_carry_a_solution_bit_for_bit() -> None:
         a, b = solution.placed(k), again.placed(k)
         assert (a.frame, a.end, a.shared) == (b.frame, b.end, b.shared)
         assert np.array_equal(a.covariance, b.covariance)
-        for number in a.submap.slot:
+        for number in a.submap.slots():
             assert all(np.array_equal(x, y) for x, y in zip(a.landmark(number), b.landmark(number), strict=True))
 
 

@@ -35,7 +35,7 @@ def build(seed: int) -> tuple[Pattern, list[Ints], Floats, Floats, Floats, Float
     """The pattern and its filled entries, beside the same normal equations dense."""
     rng = np.random.default_rng(1000 + seed)
     widths, factors = graph(seed)
-    pattern = Pattern(widths, factors)
+    pattern = Pattern(widths, np.cumsum([0, *(f.shape[0] for f in factors)]), np.concatenate(factors))
     data, gradient = np.zeros(pattern.indices.shape[0]), np.zeros(pattern.size)
     H, g = np.zeros((pattern.size, pattern.size)), np.zeros(pattern.size)
     for f in factors:
@@ -79,7 +79,7 @@ def test_factorising_again_on_the_same_pattern() -> None:
 def test_many_variables_outgrow_the_first_guess() -> None:
     """One factor over forty variables: more blocks than four a variable."""
     widths = np.full(40, 2, dtype=np.int64)
-    pattern = Pattern(widths, [np.arange(40)])
+    pattern = Pattern(widths, np.array([0, 40]), np.arange(40))
     assert pattern.indices.shape[0] == 80 * 81 // 2
     block = random_covariance(np.random.default_rng(0), 80)
     data, gradient = np.zeros(pattern.indices.shape[0]), np.zeros(80)

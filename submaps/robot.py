@@ -1,0 +1,98 @@
+"""One robot's place in a map: its models, its clock, its dead reckoning, its active sub-map."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from submaps.atlas.state import RobotState
+from submaps.config import MapConfig, ObservationConfig, RobotConfig
+from submaps.consistency import chi_square_bound
+from submaps.encounters import Columns
+from submaps.filtering import layout
+from submaps.geometry.trig import sincos
+from submaps.measurements import Floats, Ints
+from submaps.observation.models import MODELS
+from submaps.submap import ActiveSubmap
+
+FLAG_PROBABILITY = 0.9999
+# Steps of an active sub-map that are kept, so that a sighting of the robot that comes late can still be marked.
+KEPT_STEPS = 20_000
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Columns that an active sub-map has taken in, from a step on; ``resumed``: without its control.
+
+    ``before`` is the time of the step before the first one.
+    """
+
+    columns: Columns
+    step: int
+    resumed: bool
+    before: float | None
+
+    @property
+    def begin(self) -> float:
+        """The time (s) from which on it can be marked: its first step's, or after the one before."""
+        first = self.before is None or self.resumed
+        return float(self.columns.t[self.step]) if first else self.before or 0.0
+
+    def covers(self, t: float, first: bool) -> bool:
+        """Whether a mark at t (s) belongs to it; at the very beginning only to the ``first``."""
+        return t <= float(self.columns.t[-1]) and (t > self.begin or (first and t == self.begin))
+
+
+class Robot:
+    """What a mapper keeps of one robot."""
+
+    def __init__(self, number: int, name: str, config: MapConfig, own: RobotConfig, active: ActiveSubmap) -> None:
+        self.number = number
+        self.name = name
+        self.motion = own.motion
+        self.start = own.start
+        self.whole, self.real, self.R = _settings(config, own.observation)
+        self.endless = self.whole.copy()  # for walking a sub-map again, which is not to end
+        self.endless[[layout.MAX_LANDMARKS, layout.MIN_OBSERVED]] = 1 << 40
+        self.active = active
+        self.first = active.number
+        self.t: float | None = None
+        self.odom = np.zeros(3)
+        self.odom_covariance = np.zeros((3, 3))
+        self.closed_counts = np.zeros(3, dtype=np.int64)  # steps, observations, rejected
+        self.foreign: set[int] = set()  # landmarks that a robot of another component saw first
+        self.history: list[Segment] | None = None
+
+    def remember(self, segment: Segment, anew: bool) -> None:
+        """Keep what the active sub-map has taken in; ``anew`` where it began in this segment."""
+        history = [] if anew else self.history
+        if history is not None:
+            history.append(segment)
+            if sum(s.columns.t.shape[0] - s.step for s in history) > KEPT_STEPS:
+                history = None
+        self.history = history
+
+    def state(self) -> RobotState:
+        """What a view tells of it."""
+        own = [layout.STEPS, layout.OBSERVATIONS, layout.REJECTED]
+        steps, observations, rejected = (self.closed_counts + self.active.counts[own]).tolist()
+        x, y, theta = self.odom
+        return RobotState(
+            id=self.name, number=self.number, first=self.first, submap=self.active.number, t=self.t or 0.0,
+            steps=steps, observations=observations, rejected=rejected, pose=self.active.pose,
+            odom=(float(x), float(y), float(theta)), odom_covariance=self.odom_covariance.copy(), start=self.start,
+        )  # fmt: skip
+
+
+def _settings(config: MapConfig, observation: ObservationConfig) -> tuple[Ints, Floats, Floats]:
+    x, y, theta = observation.mount
+    sine, cosine = sincos(theta)
+    gate = math.inf if config.gate is None else chi_square_bound(config.gate, 2)
+    flag = chi_square_bound(FLAG_PROBABILITY, 2)
+    invariant = config.filter == "invariant"
+    body = [0.0, 0.0, 1.0, 0.0]
+    whole = [MODELS[observation.model], invariant, config.max_landmarks, config.min_observed_steps]
+    real = [x, y, cosine, sine, gate, flag, config.max_heading_sigma**2, config.max_position_sigma**2, *body]
+    return np.array(whole, dtype=np.int64), np.array(real), np.diag(np.square(observation.sigma))[np.newaxis]
