@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import orjson
 
 from service.store.base import BatchEvent, Derived
 from service.store.encoding import encode_track
-from submaps.measurements import Batch, Rejection, Report
+from submaps.measurements import Batch, Rejection, Report, as_encounter
 
 
 def derive(event: BatchEvent, batch: Batch, report: Report, version: int) -> Derived:
@@ -35,8 +36,8 @@ def _acknowledgement(sequence: int, batch: Batch, report: Report, version: int) 
         "sequence": sequence,
         "steps": batch.steps,
         "observations": batch.observations,
-        "rejected": [_set_aside(r) for r in report.rejected],
-        "flagged": [_set_aside(r) for r in report.flagged],
+        "rejected": [_set_aside(r, batch) for r in report.rejected],
+        "flagged": [_set_aside(r, batch) for r in report.flagged],
         "submap": report.submap,
         "map_version": version,
         "duplicate": False,
@@ -46,11 +47,15 @@ def _acknowledgement(sequence: int, batch: Batch, report: Report, version: int) 
     })  # fmt: skip
 
 
-def _set_aside(rejection: Rejection) -> dict[str, Any]:
-    return {
-        "step": rejection.step,
-        "observation": rejection.observation,
-        "landmark": rejection.landmark,
-        "reason": rejection.reason,
-        "nis": rejection.nis,
-    }
+def _set_aside(rejection: Rejection, batch: Batch) -> dict[str, Any]:
+    at, what = rejection.observation, {"landmark": rejection.landmark}
+    met = as_encounter(rejection.landmark)
+    if met is not None:
+        at, what = at - _landmarks_at(batch, rejection.step), {"robot": met[0]}
+    return {"step": rejection.step, "observation": at, **what, "reason": rejection.reason, "nis": rejection.nis}
+
+
+def _landmarks_at(batch: Batch, step: int) -> int:
+    """Return how many observations of landmarks a step has; its encounters follow them."""
+    begin, end = np.searchsorted(batch.observation_step, [step, step + 1])
+    return sum(as_encounter(name) is None for name in batch.landmark[begin:end])

@@ -22,10 +22,11 @@ from service.store.sqlite import SqliteJournal
 from service.wire.maps import MapRequest
 from service.wire.measurements import CartesianRows, Columns, RangeBearingRows
 from service.wire.operations import ProblemAnswer, SolveRequest
+from service.wire.robots import RobotRequest
 
 # Read and written by the routes themselves, so FastAPI does not know them.
 _DOCUMENTED: Iterable[type[BaseModel]] = (
-    MapRequest, CartesianRows, RangeBearingRows, Columns, SolveRequest, ProblemAnswer,
+    MapRequest, RobotRequest, CartesianRows, RangeBearingRows, Columns, SolveRequest, ProblemAnswer,
 )  # fmt: skip
 
 log = logging.getLogger(__name__)

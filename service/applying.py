@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from service.acknowledgements import derive
-from service.hosted import Hosted, Pending, PendingBatch, PendingChange, PendingSolve, Solve
+from service.hosted import Hosted, Pending, PendingBatch, PendingChange, PendingRobot, PendingSolve, Solve
 from service.problems import Problem, not_found
-from service.runtime import Measured, Solved
-from service.store.base import BatchEvent, Derived, Journal, Outcome, SolveEvent
+from service.runtime import Configured, Measured, Solved
+from service.store.base import BatchEvent, Derived, Journal, Outcome, RobotEvent, SolveEvent
 from service.store.encoding import unpack
 from submaps.atlas.state import AtlasState
+from submaps.config import RobotConfig
 from submaps.measurements import Batch
 
 log = logging.getLogger(__name__)
@@ -34,6 +35,11 @@ def apply_batch(hosted: Hosted, event: BatchEvent, batch: Batch) -> Derived:
     report = runtime.apply(Measured(event.position, event.robot, batch))
     assert report is not None  # a batch always gives one
     return derive(event, batch, report, runtime.version)
+
+
+def apply_robot(hosted: Hosted, event: RobotEvent, own: RobotConfig) -> None:
+    """Set a robot apart from its map's defaults."""
+    hosted.runtime.apply(Configured(event.position, event.robot, own))
 
 
 def apply_solve(hosted: Hosted, event: SolveEvent) -> Solve:
@@ -128,6 +134,8 @@ class Applier:
         try:
             if isinstance(pending, PendingSolve):
                 return apply_solve(hosted, pending.event)
+            if isinstance(pending, PendingRobot):
+                return apply_robot(hosted, pending.event, pending.own)
             derived = apply_batch(hosted, pending.event, pending.batch)
         except Exception as error:
             # The journal holds it, so nothing later may be applied: the map would diverge from it.

@@ -21,6 +21,7 @@ from service.hosted import (
     Pending,
     PendingBatch,
     PendingChange,
+    PendingRobot,
     PendingSolve,
     Solve,
 )
@@ -32,13 +33,14 @@ from service.store.base import (
     CreateMap,
     DeleteMap,
     Journal,
+    RobotEvent,
     SolveEvent,
     StoreError,
 )
 from service.store.encoding import digest, encode_batch, pack
 from service.wire.columns import Decoded
 from submaps.atlas.state import AtlasState
-from submaps.config import MapConfig
+from submaps.config import MapConfig, RobotConfig
 
 KEPT_ACKNOWLEDGEMENTS = 1000
 
@@ -147,6 +149,24 @@ class Engine:
         done: asyncio.Future[None] = self._loop.create_future()
         self.journal.append(entry, PendingChange(hosted, done))
         await done
+
+    # -- robots ----------------------------------------------------------------------------------
+
+    async def configure(self, hosted: Hosted, robot: str, data: bytes, own: RobotConfig) -> None:
+        """Set a robot apart from its map's defaults; ``data`` is ``own`` as JSON.
+
+        Raises ``Problem``: 404, 409 where the robot has sent a batch, or 500 where the map has stopped.
+        """
+        self.check_ready()
+        hosted.check_usable()
+        hosted.check_new(robot, own.start)
+        hosted.position += 1
+        # At once: a batch that arrives from now on follows it into the journal.
+        hosted.own[robot] = own
+        event = RobotEvent(hosted.key, hosted.position, robot, data)
+        pending = PendingRobot(hosted, event, own, self._loop.create_future())
+        self.journal.append(event, pending)
+        await asyncio.shield(pending.done)
 
     # -- measurements ----------------------------------------------------------------------------
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 
 from service.problems import Problem, not_found
 from service.runtime import Runtime
-from service.store.base import BatchEvent, SolveEvent
+from service.store.base import BatchEvent, RobotEvent, SolveEvent
 from service.wire.columns import Decoded
 from submaps.atlas.view import View
-from submaps.config import MapConfig
+from submaps.config import MapConfig, Models, RobotConfig, Start
 from submaps.measurements import Batch
 
 KEPT_SOLVES = 1000
@@ -47,6 +47,7 @@ class Hosted:
     runtime: Runtime
     view: View
     position: int = 0
+    own: dict[str, RobotConfig] = field(default_factory=dict)  # of the robots that are set apart
     admitted: dict[str, Admitted] = field(default_factory=dict)
     in_flight: dict[tuple[str, int], PendingBatch] = field(default_factory=dict)
     deleted: bool = False
@@ -54,6 +55,10 @@ class Hosted:
     waiting: list[asyncio.Future[Solve]] = field(default_factory=list)
     begun: int = 0  # number of the last solve that was begun
     solves: OrderedDict[int, Solve | Problem] = field(default_factory=OrderedDict)
+
+    def models(self, robot: str) -> Models:
+        """Return what a robot's next batch is to be read with."""
+        return self.own.get(robot, self.core)
 
     def check_usable(self) -> None:
         """Raise ``Problem`` where the map is gone (404) or has stopped (500)."""
@@ -90,6 +95,21 @@ class Hosted:
         if first < last.t or (moves and first == last.t):
             raise _late(decoded.time_path(0), first, last)
 
+    def check_new(self, robot: str, start: Start | None) -> None:
+        """Check that a robot has sent nothing, and that its start's frame exists.
+
+        Raises ``Problem``: 409, 404.
+        """
+        if robot in self.admitted:
+            raise Problem(
+                409, "robot-exists",
+                f"Robot {robot!r} has sent measurements already: what sets it apart holds from its first batch on.",
+            )  # fmt: skip
+        if start is not None and start.frame != "map":
+            number = int(start.frame.removeprefix("submap/"))
+            if number >= self.view.submap_count:
+                raise not_found("submap", number)
+
     def keep(self, number: int, outcome: Solve | Problem) -> None:
         """Remember what became of a solve, the last 1 000 of them."""
         self.solves[number] = outcome
@@ -115,6 +135,16 @@ class PendingBatch:
 
 
 @dataclass(eq=False)
+class PendingRobot:
+    """What sets a robot apart, on its way through journal and map."""
+
+    hosted: Hosted
+    event: RobotEvent
+    own: RobotConfig
+    done: asyncio.Future[None]
+
+
+@dataclass(eq=False)
 class PendingSolve:
     """A solve on its way through journal and map."""
 
@@ -131,4 +161,4 @@ class PendingChange:
     done: asyncio.Future[None]
 
 
-Pending = PendingBatch | PendingSolve | PendingChange
+Pending = PendingBatch | PendingRobot | PendingSolve | PendingChange

@@ -5,13 +5,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 
-from service.applying import apply_batch, apply_solve
+from service.applying import apply_batch, apply_robot, apply_solve
 from service.hosted import Admitted, Hosted
 from service.runtime import Runtime
-from service.store.base import BatchEvent, Journal, MapRecord
+from service.store.base import BatchEvent, Journal, MapRecord, RobotEvent
 from service.store.encoding import decode_batch
 from service.wire.base import parse
 from service.wire.maps import CONFIG
+from service.wire.robots import ROBOT
 
 log = logging.getLogger(__name__)
 
@@ -37,6 +38,10 @@ def replay(journal: Journal, record: MapRecord) -> Hosted:
                 hosted.admitted[event.robot] = Admitted(event.sequence, float(batch.t[-1]))
                 if not kept:
                     journal.derive([derived])
+            elif isinstance(event, RobotEvent):
+                own = parse(ROBOT, event.data).to_core()
+                apply_robot(hosted, event, own)
+                hosted.own[event.robot] = own
             else:
                 hosted.keep(event.number, apply_solve(hosted, event))
                 hosted.begun = event.number

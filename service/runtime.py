@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from submaps.atlas.solution import Solution
 from submaps.atlas.state import AtlasState
 from submaps.atlas.view import View
-from submaps.config import MapConfig
+from submaps.config import MapConfig, RobotConfig
 from submaps.errors import DigestMismatch
 from submaps.mapper import Mapper
 from submaps.measurements import Batch, Report
@@ -27,6 +27,15 @@ class Measured:
 
 
 @dataclass(frozen=True)
+class Configured:
+    """A robot was set apart from the map's defaults, before its first batch."""
+
+    position: int
+    robot: str
+    own: RobotConfig
+
+
+@dataclass(frozen=True)
 class Solved:
     """A solve of the problem captured after event ``base`` found ``columns``."""
 
@@ -34,6 +43,9 @@ class Solved:
     base: int
     problem_digest: bytes
     columns: Mapping[str, NDArray[Any]]
+
+
+MapEvent = Measured | Configured | Solved
 
 
 class Runtime:
@@ -57,7 +69,7 @@ class Runtime:
         """Whether enough has happened for the atlas to be solved again."""
         return self._mapper.solve_due
 
-    def apply(self, event: Measured | Solved) -> Report | None:
+    def apply(self, event: MapEvent) -> Report | None:
         """Bring the map forward by one event; a batch gives a report.
 
         Raises ``DigestMismatch`` where a solve was computed from another state than this one's.
@@ -65,6 +77,8 @@ class Runtime:
         report = None
         if isinstance(event, Measured):
             report = self._mapper.apply(event.robot, event.batch)
+        elif isinstance(event, Configured):
+            self._mapper.configure(event.robot, event.own)
         else:
             self._install(event)
         self._after(event.position)

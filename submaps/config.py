@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 from submaps.errors import ConfigError
 
-MotionModel = Literal["odometry", "velocity"]
+MotionModel = Literal["odometry", "velocity", "bicycle", "ackermann"]
 ObservationModel = Literal["cartesian", "range_bearing"]
 FilterName = Literal["invariant", "standard"]
+Noise = Literal["reading", "density"]
 
 MOTION_CHANNELS: dict[str, tuple[str, ...]] = {
     "odometry": ("dx", "dy", "dtheta"),
     "velocity": ("v", "omega"),
+    "bicycle": ("speed", "steer"),
+    "ackermann": ("speed", "steer"),
 }
+VEHICLES = ("bicycle", "ackermann")  # the models that steer a wheel
+_SIGMAS = {"odometry": (3,), "velocity": (2, 3), "bicycle": (2,), "ackermann": (2, 3)}
 OBSERVATION_CHANNELS: dict[str, tuple[str, ...]] = {
     "cartesian": ("x", "y"),
     "range_bearing": ("range", "bearing"),
@@ -28,17 +34,34 @@ class MotionConfig:
     """A motion model and the standard deviation of one step's reading.
 
     ``odometry``: (dx m, dy m, dtheta rad). ``velocity``: (v m/s, omega rad/s), with an optional
-    third, the lateral slip in m/s.
+    third, the lateral slip in m/s. ``bicycle``: (speed m/s, steer rad) of the front wheel,
+    ``wheelbase`` m ahead of the rear one. ``ackermann``: (speed m/s, steer rad), with an optional
+    lateral slip in m/s; the speed is that of an encoder ``encoder_offset`` m to the left of the
+    middle of the rear axle, the steer that of a wheel ``wheelbase`` m ahead of it.
+
+    With ``noise`` "density", ``sigma`` is per root second: an increment's variance is sigma² dt, so
+    that an interval may be split.
     """
 
     model: MotionModel
     sigma: tuple[float, ...]
+    noise: Noise = "reading"
+    wheelbase: float | None = None
+    encoder_offset: float = 0.0
 
     def __post_init__(self) -> None:
         _check_choice("motion.model", self.model, get_args(MotionModel))
-        lengths = (3,) if self.model == "odometry" else (2, 3)
-        _check_numbers("motion.sigma", self.sigma, lengths, least=0.0)
+        _check_choice("motion.noise", self.noise, get_args(Noise))
+        _check_numbers("motion.sigma", self.sigma, _SIGMAS[self.model], least=0.0)
         object.__setattr__(self, "sigma", tuple(float(s) for s in self.sigma))
+        if self.model not in VEHICLES and self.wheelbase is not None:
+            raise ConfigError("motion.wheelbase", self.wheelbase, f"none, as {self.model} has no wheels")
+        if self.model in VEHICLES and not (self.wheelbase and 0.0 < self.wheelbase < math.inf):
+            raise ConfigError("motion.wheelbase", self.wheelbase, f"m, above 0, for {self.model}")
+        reach = self.wheelbase or 0.0 if self.model == "ackermann" else 0.0
+        if self.encoder_offset != 0.0 and not abs(self.encoder_offset) < reach:
+            expected = f"m, less than the wheelbase of {reach}" if reach else f"none for {self.model}"
+            raise ConfigError("motion.encoder_offset", self.encoder_offset, expected)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -109,7 +132,7 @@ class Start:
     """Where a robot's first pose lies, as far as its operator knows.
 
     ``pose`` (x m, y m, theta rad) in ``frame`` (``map`` or ``submap/k``), with the (3, 3)
-    ``covariance`` of its additive errors, positive definite.
+    ``covariance`` of its additive errors, symmetric and positive definite.
     """
 
     frame: str
@@ -117,11 +140,15 @@ class Start:
     covariance: tuple[tuple[float, float, float], ...]
 
     def __post_init__(self) -> None:
+        if not re.fullmatch(r"map|submap/\d{1,9}", self.frame):
+            raise ConfigError("start.frame", self.frame, "map or submap/NUMBER")
         _check_numbers("start.pose", self.pose, (3,))
         if len(self.covariance) != 3:
             raise ConfigError("start.covariance", self.covariance, "3 rows of 3 numbers")
         for row in self.covariance:
             _check_numbers("start.covariance", row, (3,))
+        if not _is_positive_definite(self.covariance):
+            raise ConfigError("start.covariance", self.covariance, "a symmetric positive definite matrix")
 
 
 @dataclass(frozen=True)
@@ -131,6 +158,23 @@ class RobotConfig:
     motion: MotionConfig
     observation: ObservationConfig
     start: Start | None = None
+
+
+# What says how a robot's measurements are read: its own, or its map's.
+Models = MapConfig | RobotConfig
+
+
+def _is_positive_definite(matrix: Sequence[Sequence[float]]) -> bool:
+    """Whether a (3, 3) matrix equals its transpose and every pivot of its elimination is positive."""
+    symmetric = all(matrix[i][j] == matrix[j][i] for i in range(3) for j in range(i))
+    rest = [list(row) for row in matrix]
+    for k in range(3):
+        if not rest[k][k] > 0.0:
+            return False
+        for i in range(k + 1, 3):
+            for j in range(k + 1, 3):
+                rest[i][j] -= rest[i][k] * rest[k][j] / rest[k][k]
+    return symmetric
 
 
 def _check_choice(name: str, got: object, known: Sequence[str]) -> None:

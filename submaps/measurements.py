@@ -37,7 +37,8 @@ class Batch:
     ``t`` (n,) seconds; ``control`` (d, c) with ``control_step`` (c,) strictly rising;
     ``z`` (2, m) with ``observation_step`` (m,) not falling and ``landmark`` m ids. Covariances
     (c, d, d) and (m, 2, 2) stand where the client sent its own, and are ``None`` where the model's
-    sigma holds throughout. A sighting of another robot is an observation of the landmark that
+    sigma holds throughout; a row of ``control_covariance`` that is NaN at [0, 0] means the model's own
+    noise as well. A sighting of another robot is an observation of the landmark that
     ``encounter`` names; within a step it follows those of landmarks.
     """
 

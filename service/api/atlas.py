@@ -21,6 +21,7 @@ from service.api.common import (
 )
 from service.wire.answers import Graph, SubmapDetail, SubmapList, TransformAnswer
 from submaps.atlas.view import SubmapState
+from submaps.measurements import as_encounter
 
 router = APIRouter(prefix="/v1/maps/{map}", tags=["atlas"])
 
@@ -49,7 +50,11 @@ def list_submaps(request: Request, map_: MapId, page: Annotated[Page, QueryParam
 def show_submap(
     request: Request, map_: MapId, k: Annotated[int, Path(ge=0, description="a sub-map", examples=[3])]
 ) -> Response:
-    """Show a sub-map with its robot's pose and its landmarks, in its own frame."""
+    """Show a sub-map with its robot's pose and its landmarks, in its own frame.
+
+    A landmark's first sighting in a sub-map cannot be gated there. It becomes a tie once it agrees
+    with the map; `untied` names those that do not.
+    """
     view = hosted_map(request, map_).view
     found = view.submap(k)
     robot_pose, covariance = view.local_pose(k)
@@ -59,6 +64,7 @@ def show_submap(
         "local_landmarks": [
             {"id": one.id, "x": one.x, "y": one.y, "covariance": one.covariance} for one in view.local_landmarks(k)
         ],
+        "untied": [name for name in view.untied(k) if as_encounter(name) is None],
     })  # fmt: skip
 
 

@@ -17,7 +17,6 @@ from service.problems import MEDIA_TYPE, Problem, invalid
 from service.wire.base import NAME
 
 FRAME = r"^(map|odom|submap/(0|[1-9][0-9]{0,8}))$"
-MAP_FRAME = r"^(map|submap/(0|[1-9][0-9]{0,8}))$"
 
 MapId = Annotated[str, Path(alias="map", description="a map's id", examples=["park"])]
 RobotId = Annotated[str, Path(alias="robot", description="a robot's name", examples=["r1"])]

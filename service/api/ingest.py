@@ -46,11 +46,16 @@ async def send_measurements(request: Request, map_: MapId, robot: RobotId) -> Re
 
     A robot exists from its first batch. The answer comes once the batch is on disk, applied, and
     seen by every query. A repeat of a batch gets the first answer, with `duplicate` true.
+
+    A step's control is of the robot's own motion model. Its `encounters` are sightings of other
+    robots of the map, which join the robots' maps as common landmarks do.
     """
     engine = engine_of(request)
     hosted = engine.map(map_)
     check_name("robot", robot)
     type_ = media_type(request, [ROWS_TYPE, COLUMNS_TYPE])
-    decoded = decode(type_, await read_body(request), hosted.core)
+    body = await read_body(request)
+    # From here to admission nothing else runs on the event loop, so the models are those of its place.
+    decoded = decode(type_, body, hosted.models(robot), robot)
     acknowledgement = await engine.ingest(hosted, robot, decoded)
     return Response(acknowledgement, media_type="application/json")

@@ -10,7 +10,6 @@ from fastapi import Query as QueryParameters
 from pydantic import Field
 
 from service.api.common import (
-    MAP_FRAME,
     MapId,
     Page,
     Query,
@@ -22,6 +21,7 @@ from service.api.common import (
 )
 from service.problems import invalid
 from service.wire.answers import LandmarkAnswer, LandmarkList
+from service.wire.base import MAP_FRAME
 from submaps.atlas.view import LandmarkEstimate
 
 router = APIRouter(prefix="/v1/maps/{map}/landmarks", tags=["landmarks"])
@@ -44,13 +44,17 @@ class LandmarksQuery(Page):
 
 @router.get("", response_model=LandmarkList, summary="List landmarks", responses=problems(404, 409, 422))
 def list_landmarks(request: Request, map_: MapId, query: Annotated[LandmarksQuery, QueryParameters()]) -> Response:
-    """List landmarks with their covariances, in the order of their first sightings."""
+    """List landmarks with their covariances, in the order of their first sightings.
+
+    Those to which no tie leads from the frame are left out; `not_connected` counts them.
+    """
     view = hosted_map(request, map_).view
     start = position_of("landmarks", query.cursor)
     found, following = view.landmarks(start, query.limit, query.frame, _box(query.bbox))
     return json_answer({
         "frame": query.frame,
         "map_version": view.version,
+        "not_connected": view.not_connected(query.frame),
         "landmarks": [_answer(one) for one in found],
         "next": cursor_of("landmarks", following),
     })  # fmt: skip

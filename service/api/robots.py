@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+import orjson
 from fastapi import APIRouter, Request, Response
 from fastapi import Query as QueryParameters
 from fastapi.responses import StreamingResponse
 from pydantic import Field
 
 from service.api import tracks
+from service.api.body import media_type, read_body
 from service.api.common import (
     FRAME,
     MapId,
     Page,
     Query,
     RobotId,
+    check_name,
     cursor_of,
     engine_of,
     hosted_map,
@@ -26,6 +29,10 @@ from service.api.common import (
 )
 from service.problems import invalid, not_found
 from service.wire.answers import PoseAnswer, RobotAnswer, RobotList, Trajectory
+from service.wire.base import parse
+from service.wire.columns import ROWS_TYPE
+from service.wire.maps import CONFIG
+from service.wire.robots import ROBOT_REQUEST, RobotRequest, RobotSettingsAnswer
 from submaps.atlas.state import RobotState
 from submaps.atlas.view import View
 
@@ -50,12 +57,13 @@ class TrajectoryQuery(PoseQuery):
 @router.get("", response_model=RobotList, summary="List robots", responses=problems(404, 422))
 def list_robots(request: Request, map_: MapId, page: Annotated[Page, QueryParameters()]) -> Response:
     """List the robots of a map, in the order of their first batches."""
-    robots = hosted_map(request, map_).view.robots()
+    view = hosted_map(request, map_).view
+    robots = view.robots()
     start = position_of("robots", page.cursor)
     end = start + page.limit
     following = end if end < len(robots) else None
     return json_answer({
-        "robots": [_answer(one) for one in robots[start:end]],
+        "robots": [_answer(view, one) for one in robots[start:end]],
         "next": cursor_of("robots", following),
     })  # fmt: skip
 
@@ -63,7 +71,33 @@ def list_robots(request: Request, map_: MapId, page: Annotated[Page, QueryParame
 @router.get("/{robot}", response_model=RobotAnswer, summary="Show a robot", responses=problems(404))
 def show_robot(request: Request, map_: MapId, robot: RobotId) -> Response:
     """Show a robot, as of its last batch."""
-    return json_answer(_answer(_find(hosted_map(request, map_).view, robot)))
+    view = hosted_map(request, map_).view
+    return json_answer(_answer(view, _find(view, robot)))
+
+
+@router.put(
+    "/{robot}", response_model=RobotSettingsAnswer, summary="Set a robot apart",
+    responses=problems(400, 404, 409, 413, 415, 422),
+    openapi_extra={"requestBody": {"required": True, "content": {
+        ROWS_TYPE: {"schema": {"$ref": f"#/components/schemas/{RobotRequest.__name__}"}},
+    }}},
+)  # fmt: skip
+async def configure_robot(request: Request, map_: MapId, robot: RobotId) -> Response:
+    """Give a robot models or a start of its own, before its first batch.
+
+    Each of `motion`, `observation` and `start` may be left out: the robot has the map's then, and no
+    start. A repeat replaces what was said before. Once the robot has sent measurements: 409,
+    `robot-exists`. The robot is shown and listed from its first batch on.
+    """
+    engine = engine_of(request)
+    hosted = engine.map(map_)
+    check_name("robot", robot)
+    media_type(request, [ROWS_TYPE])
+    wanted = parse(ROBOT_REQUEST, await read_body(request))
+    settings = wanted.completed(parse(CONFIG, hosted.config))
+    data = settings.model_dump_json().encode()
+    await engine.configure(hosted, robot, data, settings.to_core())
+    return json_answer({"id": robot, **orjson.loads(data)})
 
 
 @router.get(
@@ -120,7 +154,7 @@ def _find(view: View, robot: str) -> RobotState:
     raise not_found("robot", robot)
 
 
-def _answer(robot: RobotState) -> dict[str, Any]:
+def _answer(view: View, robot: RobotState) -> dict[str, Any]:
     return {
         "id": robot.id,
         "submap": robot.submap,
@@ -128,5 +162,6 @@ def _answer(robot: RobotState) -> dict[str, Any]:
         "steps": robot.steps,
         "observations": robot.observations,
         "rejected": robot.rejected,
+        "connected": view.connected(robot.number),
         "pose": {"frame": f"submap/{robot.submap}", **pose(robot.pose)},
     }

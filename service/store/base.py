@@ -52,6 +52,16 @@ class SolveEvent:
 
 
 @dataclass(frozen=True)
+class RobotEvent:
+    """A robot is set apart from its map's defaults, before its first batch; ``data`` says how, as JSON."""
+
+    map: int
+    position: int
+    robot: str
+    data: bytes
+
+
+@dataclass(frozen=True)
 class CreateMap:
     """A map comes to exist; ``config`` is its configuration as JSON."""
 
@@ -67,7 +77,7 @@ class DeleteMap:
     map: int
 
 
-Event = BatchEvent | SolveEvent
+Event = BatchEvent | SolveEvent | RobotEvent
 Entry = Event | CreateMap | DeleteMap
 
 

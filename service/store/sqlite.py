@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
+from typing import Any
 
 from service.store.base import (
     BatchEvent,
@@ -20,6 +21,7 @@ from service.store.base import (
     JournalStats,
     MapRecord,
     Outcome,
+    RobotEvent,
     SolveEvent,
     StoreError,
 )
@@ -156,18 +158,7 @@ class SqliteJournal:
             for entry in entries:
                 self._insert(entry)
             for one in derived:
-                self._writer.execute(
-                    SQL["derive"],
-                    (
-                        one.map,
-                        one.robot,
-                        one.sequence,
-                        one.began,
-                        one.ended,
-                        one.acknowledgement,
-                        one.track,
-                    ),
-                )
+                self._writer.execute(SQL["derive"], _values(one))
                 self._written(one.track)
             self._writer.execute("COMMIT")
         except BaseException:
@@ -182,36 +173,16 @@ class SqliteJournal:
     def _insert(self, entry: Entry) -> None:
         match entry:
             case BatchEvent():
-                self._writer.execute(
-                    SQL["append_batch"],
-                    (
-                        entry.map,
-                        entry.position,
-                        entry.robot,
-                        entry.sequence,
-                        entry.digest,
-                        entry.data,
-                    ),
-                )
+                self._writer.execute(SQL["append_batch"], _values(entry))
                 self._written(entry.data)
             case SolveEvent():
-                self._writer.execute(
-                    SQL["append_solve"],
-                    (
-                        entry.map,
-                        entry.position,
-                        entry.base,
-                        entry.number,
-                        entry.problem_digest,
-                        entry.data,
-                        entry.seconds,
-                        entry.iterations,
-                        entry.cost,
-                    ),
-                )
+                self._writer.execute(SQL["append_solve"], _values(entry))
+                self._written(entry.data)
+            case RobotEvent():
+                self._writer.execute(SQL["append_robot"], _values(entry))
                 self._written(entry.data)
             case CreateMap():
-                self._writer.execute(SQL["create_map"], (entry.map, entry.id, entry.config))
+                self._writer.execute(SQL["create_map"], _values(entry))
             case DeleteMap():
                 self._writer.execute(SQL["mark_deleted"], (entry.map,))
                 self._clearing = True
@@ -242,7 +213,7 @@ class SqliteJournal:
         self._writer.execute("BEGIN IMMEDIATE")
         cleared = sum(
             self._writer.execute(SQL[name], (row[0], CLEAR_ROWS)).rowcount
-            for name in ("clear_derived", "clear_solve", "clear_batch")
+            for name in ("clear_derived", "clear_solve", "clear_robot", "clear_batch")
         )
         if not cleared:
             self._writer.execute(SQL["clear_map"], row)
@@ -270,7 +241,10 @@ class SqliteJournal:
             solves: Iterator[tuple[Event, bool]] = (
                 (SolveEvent(*row), True) for row in reader.execute(SQL["solves"], (map_, after))
             )
-            yield from heapq.merge(batches, solves, key=lambda pair: pair[0].position)
+            robots: Iterator[tuple[Event, bool]] = (
+                (RobotEvent(*row), True) for row in reader.execute(SQL["robots"], (map_, after))
+            )
+            yield from heapq.merge(batches, solves, robots, key=lambda pair: pair[0].position)
 
     def solve_bases(self, map_: int) -> frozenset[int]:
         """Return the positions from which the map's solves were captured."""
@@ -295,6 +269,11 @@ class SqliteJournal:
         with closing(_connect(self._path)) as reader:
             reader.execute("PRAGMA query_only=ON")
             yield reader
+
+
+def _values(entry: Entry | Derived) -> tuple[Any, ...]:
+    """Return an entry's fields in their order, which is that of its columns."""
+    return tuple(vars(entry).values())
 
 
 def _connect(path: Path) -> sqlite3.Connection:

@@ -7,6 +7,8 @@ INSERT INTO batch (map, position, robot, sequence, digest, data) VALUES (?, ?, ?
 -- name: append_solve
 INSERT INTO solve (map, position, base, number, problem_digest, data, seconds, iterations, cost)
 VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?);
+-- name: append_robot
+INSERT INTO robot (map, position, robot, data) VALUES (?, ?, ?, ?);
 -- name: derive
 INSERT OR REPLACE INTO derived (map, robot, sequence, began, ended, acknowledgement, track)
 SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE EXISTS (SELECT 1 FROM map WHERE key = ?1 AND NOT deleted);
@@ -21,6 +23,8 @@ WHERE b.map = ? AND b.position > ? ORDER BY b.position;
 -- name: solves
 SELECT map, position, base, number, problem_digest, data, seconds, iterations, cost
 FROM solve WHERE map = ? AND position > ? ORDER BY position;
+-- name: robots
+SELECT map, position, robot, data FROM robot WHERE map = ? AND position > ? ORDER BY position;
 -- name: solve_bases
 SELECT base FROM solve WHERE map = ?;
 -- name: acknowledgement
@@ -38,5 +42,7 @@ DELETE FROM derived WHERE rowid IN (SELECT rowid FROM derived WHERE map = ? LIMI
 DELETE FROM solve WHERE rowid IN (SELECT rowid FROM solve WHERE map = ? LIMIT ?);
 -- name: clear_batch
 DELETE FROM batch WHERE rowid IN (SELECT rowid FROM batch WHERE map = ? LIMIT ?);
+-- name: clear_robot
+DELETE FROM robot WHERE rowid IN (SELECT rowid FROM robot WHERE map = ? LIMIT ?);
 -- name: clear_map
 DELETE FROM map WHERE key = ?;

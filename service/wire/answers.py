@@ -25,7 +25,7 @@ class Pose(Wire):
 
 
 _ROBOT = {
-    "id": "r1", "submap": 3, "t": 694.2, "steps": 6942, "observations": 3640, "rejected": 0,
+    "id": "r1", "submap": 3, "t": 694.2, "steps": 6942, "observations": 3640, "rejected": 0, "connected": True,
     "pose": {"frame": "submap/3", **_POSE},
 }  # fmt: skip
 
@@ -44,8 +44,9 @@ class RobotAnswer(Wire):
     submap: int = Field(description="its active sub-map")
     t: float = Field(description="time of its last step, s")
     steps: int
-    observations: int
+    observations: int = Field(description="that were used, encounters included")
     rejected: int
+    connected: bool = Field(description="whether ties, or its start, lead from `map` to it")
     pose: SubmapPose
 
 
@@ -119,12 +120,13 @@ class LandmarkList(Wire):
     """A page of a map's landmarks, in the order of their first sightings."""
 
     model_config = example(
-        frame="map", map_version=12, next=None,
+        frame="map", map_version=12, next=None, not_connected=0,
         landmarks=[{"id": "7", "x": 11.5, "y": -3.2, "covariance": _COVARIANCE2, "submaps": [0, 3]}],
     )  # fmt: skip
 
     frame: str
     map_version: int
+    not_connected: int = Field(description="landmarks that have no place in the frame: no tie leads to them")
     landmarks: list[LandmarkBody]
     next: str | None
 
@@ -171,11 +173,12 @@ class SubmapDetail(SubmapAnswer):
 
     model_config = example(
         **_SUBMAP, robot_pose={**_POSE, "covariance": _COVARIANCE3},
-        local_landmarks=[{"id": "7", "x": 4.5, "y": 1.25, "covariance": _COVARIANCE2}],
+        local_landmarks=[{"id": "7", "x": 4.5, "y": 1.25, "covariance": _COVARIANCE2}], untied=[],
     )  # fmt: skip
 
     robot_pose: LocalPose
     local_landmarks: list[LocalLandmark]
+    untied: list[str] = Field(description="landmarks whose first sighting here does not agree with the map")
 
 
 class SubmapList(Wire):

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, 
 from service.problems import Problem
 
 NAME = "^[a-z0-9][a-z0-9_-]{0,63}$"
+MAP_FRAME = r"^(map|submap/(0|[1-9][0-9]{0,8}))$"
 LARGEST = 1e9
 LATEST = 1e11  # s: room for seconds since 1970, which pass LARGEST
 MOST_ERRORS = 20  # listed in one answer

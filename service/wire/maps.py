@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import ConfigDict, Field, TypeAdapter
@@ -17,10 +19,24 @@ PositiveSigma = Annotated[float, Field(ge=1e-6, le=LARGEST)]
 Count = Annotated[int, Field(ge=1)]
 
 
+# m. The heading changes by its reciprocal.
+Wheelbase = Annotated[float, Field(ge=1e-3, le=LARGEST)]
+
+
+def _is_reading(noise: str) -> bool:
+    return noise == "reading"
+
+
 class Motion(Wire):
     """What all motion models share."""
 
-    noise: Literal["reading"] = Field("reading", exclude=True, description="sigma is of one step's reading")
+    # Left out of answers where it says nothing: maps made before it came are answered as they were.
+    noise: Literal["reading", "density"] = Field(
+        "reading",
+        exclude_if=_is_reading,
+        description="sigma is that of one step's `reading`, or a `density` per root second: an increment's variance "
+        "is then sigma² dt, and an interval may be split",
+    )
 
 
 class OdometryMotion(Motion):
@@ -41,6 +57,40 @@ class VelocityMotion(Motion):
         max_length=3,
         description="v m/s, omega rad/s and, if the vehicle slips, lateral m/s",
         examples=[[0.05, 0.01]],
+    )
+
+
+class BicycleMotion(Motion):
+    """Speed and steer of a front wheel, whose contact point is where the robot is.
+
+    x += s dt cos(psi + d), y += s dt sin(psi + d), psi += s dt sin(d) / wheelbase.
+    """
+
+    model: Literal["bicycle"]
+    sigma: list[Sigma] = Field(min_length=2, max_length=2, description="speed m/s, steer rad", examples=[[0.1, 0.02]])
+    wheelbase: Wheelbase = Field(description="m, from the rear wheel to the front wheel", examples=[1.0])
+
+
+class AckermannMotion(Motion):
+    """Speed of an encoder on a rear wheel and steer of the front; the robot is the middle of the rear axle.
+
+    v = speed / (1 - tan(steer) encoder_offset / wheelbase), omega = v tan(steer) / wheelbase, held
+    for the step: an arc.
+    """
+
+    model: Literal["ackermann"]
+    sigma: list[Sigma] = Field(
+        min_length=2,
+        max_length=3,
+        description="speed m/s, steer rad and, if the vehicle slips, lateral m/s",
+        examples=[[0.1, 0.02]],
+    )
+    wheelbase: Wheelbase = Field(description="m, from the rear axle to the front axle", examples=[2.83])
+    encoder_offset: Number = Field(
+        0.0,
+        description="m, from the middle of the rear axle to the encoder's wheel, above 0 to the left; "
+        "less than the wheelbase",
+        examples=[0.76],
     )
 
 
@@ -77,7 +127,34 @@ class Submap(Wire):
     min_observed_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 5
 
 
-AnyMotion: TypeAlias = Annotated[OdometryMotion | VelocityMotion, Field(discriminator="model")]
+AnyMotion: TypeAlias = Annotated[
+    OdometryMotion | VelocityMotion | BicycleMotion | AckermannMotion, Field(discriminator="model")
+]
+
+
+def motion_to_core(motion: AnyMotion) -> MotionConfig:
+    """Return the estimator's motion model; raises ``Problem`` (422) where it refuses a value."""
+    wheelbase = motion.wheelbase if isinstance(motion, BicycleMotion | AckermannMotion) else None
+    offset = motion.encoder_offset if isinstance(motion, AckermannMotion) else 0.0
+    with refusals():
+        return MotionConfig(motion.model, tuple(motion.sigma), motion.noise, wheelbase, offset)
+
+
+def observation_to_core(observation: Observation) -> ObservationConfig:
+    """Return the estimator's observation model; raises ``Problem`` (422) where it refuses a value."""
+    x, y, theta = observation.mount
+    with refusals():
+        return ObservationConfig(observation.model, tuple(observation.sigma), (x, y, theta))
+
+
+@contextmanager
+def refusals() -> Iterator[None]:
+    """Turn what the estimator refuses into a ``Problem`` (422)."""
+    try:
+        yield
+    except ConfigError as error:
+        raise invalid(error.field, f"got {error.got!r}, expected {error.expected}") from error
+
 
 EXAMPLE: dict[str, Any] = {
     "motion": {"model": "odometry", "sigma": [0.01, 0.002, 0.002]},
@@ -104,15 +181,11 @@ class Config(Wire):
 
         Raises ``Problem`` (422) where the estimator refuses a value.
         """
-        mount = self.observation.mount
-        try:
+        motion, observation = motion_to_core(self.motion), observation_to_core(self.observation)
+        with refusals():
             return MapConfig(
-                motion=MotionConfig(self.motion.model, tuple(self.motion.sigma)),
-                observation=ObservationConfig(
-                    self.observation.model,
-                    (self.observation.sigma[0], self.observation.sigma[1]),
-                    (mount[0], mount[1], mount[2]),
-                ),
+                motion=motion,
+                observation=observation,
                 filter=self.filter,
                 gate=self.association.gate,
                 max_landmarks=self.submap.max_landmarks,
@@ -120,8 +193,6 @@ class Config(Wire):
                 max_position_sigma=self.submap.max_position_sigma,
                 min_observed_steps=self.submap.min_observed_steps,
             )
-        except ConfigError as error:
-            raise invalid(error.field, f"got {error.got!r}, expected {error.expected}") from error
 
 
 class MapRequest(Config):
@@ -141,7 +212,7 @@ class Counts(Wire):
 
     robots: int
     steps: int
-    observations: int
+    observations: int = Field(description="that were used, encounters included")
     rejected: int
     landmarks: int
     submaps: int

@@ -12,6 +12,7 @@ from service.wire.base import (
     LandmarkId,
     Matrices,
     Matrix,
+    Name,
     Number,
     Seconds,
     Wire,
@@ -27,7 +28,7 @@ class Odometry(Wire):
     dx: Number = Field(description="m")
     dy: Number = Field(description="m")
     dtheta: Number = Field(description="rad")
-    covariance: Matrix | None = Field(None, description="3x3, in place of the map's sigma")
+    covariance: Matrix | None = Field(None, description="3x3, of this reading, in place of the robot's sigma")
 
 
 class Velocity(Wire):
@@ -37,22 +38,69 @@ class Velocity(Wire):
     omega: Number = Field(description="rad/s")
 
 
-class CartesianObservation(Wire):
+class Wheel(Wire):
+    """Speed and direction of a wheel since the step before."""
+
+    speed: Number = Field(description="m/s")
+    steer: Number = Field(description="rad, counter-clockwise from straight ahead")
+
+
+class Bicycle(Wheel):
+    """What the front wheel did since the step before; its steer lies within pi."""
+
+
+class Ackermann(Wheel):
+    """What a car's encoder and steering did since the step before.
+
+    The steer lies within 1.5 rad, and 1 - tan(steer) encoder_offset / wheelbase above 0.05.
+    """
+
+
+# The fields of a step that hold a control, one for each motion model.
+CONTROLS = ("odometry", "velocity", "bicycle", "ackermann")
+
+
+class CartesianPoint(Wire):
+    """A point in the sensor's frame."""
+
+    x: Number = Field(description="m, forward")
+    y: Number = Field(description="m, to the left")
+    covariance: Matrix | None = Field(None, description="2x2, in place of the robot's sigma")
+
+
+class RangeBearingPoint(Wire):
+    """A point at a distance and a direction from the sensor."""
+
+    range: Annotated[Number, Field(gt=0)] = Field(description="m")
+    bearing: Number = Field(description="rad, counter-clockwise from forward")
+    covariance: Matrix | None = Field(None, description="2x2, in place of the robot's sigma")
+
+
+class CartesianObservation(CartesianPoint):
     """A landmark at a point in the sensor's frame."""
 
     landmark: LandmarkId
-    x: Number = Field(description="m, forward")
-    y: Number = Field(description="m, to the left")
-    covariance: Matrix | None = Field(None, description="2x2, in place of the map's sigma")
 
 
-class RangeBearingObservation(Wire):
+class RangeBearingObservation(RangeBearingPoint):
     """A landmark at a distance and a direction from the sensor."""
 
     landmark: LandmarkId
-    range: Annotated[Number, Field(gt=0)] = Field(description="m")
-    bearing: Number = Field(description="rad, counter-clockwise from forward")
-    covariance: Matrix | None = Field(None, description="2x2, in place of the map's sigma")
+
+
+class CartesianEncounter(CartesianPoint):
+    """Another robot, its origin at a point in the sensor's frame."""
+
+    robot: Name = Field(description="its name on this map", examples=["r2"])
+
+
+class RangeBearingEncounter(RangeBearingPoint):
+    """Another robot, its origin at a distance and a direction from the sensor."""
+
+    robot: Name = Field(description="its name on this map", examples=["r2"])
+
+
+_MET = "other robots of this map that were seen; the robots' clocks have to agree"
 
 
 class Step(Wire):
@@ -61,18 +109,22 @@ class Step(Wire):
     t: Seconds
     odometry: Odometry | None = None
     velocity: Velocity | None = None
+    bicycle: Bicycle | None = None
+    ackermann: Ackermann | None = None
 
 
 class CartesianStep(Step):
-    """A step of a map whose observations are cartesian."""
+    """A step of a robot whose observations are cartesian."""
 
     observations: Annotated[list[CartesianObservation], FAIL_FAST] = Field(default_factory=list)
+    encounters: Annotated[list[CartesianEncounter], FAIL_FAST] = Field(default_factory=list, description=_MET)
 
 
 class RangeBearingStep(Step):
-    """A step of a map whose observations are range and bearing."""
+    """A step of a robot whose observations are range and bearing."""
 
     observations: Annotated[list[RangeBearingObservation], FAIL_FAST] = Field(default_factory=list)
+    encounters: Annotated[list[RangeBearingEncounter], FAIL_FAST] = Field(default_factory=list, description=_MET)
 
 
 ROWS_EXAMPLE: dict[str, Any] = {
@@ -92,6 +144,7 @@ RANGE_BEARING_EXAMPLE: dict[str, Any] = {
             "t": 0.1,
             "velocity": {"v": 1.0, "omega": 0.02},
             "observations": [{"landmark": "7", "range": 11.9, "bearing": -0.27}],
+            "encounters": [{"robot": "r2", "range": 2.0, "bearing": 0.3}],
         }
     ],
 }
@@ -104,7 +157,7 @@ COLUMNS_EXAMPLE: dict[str, Any] = {
 
 
 class CartesianRows(Wire):
-    """A batch as rows, for a map whose observations are cartesian."""
+    """A batch as rows, for a robot whose observations are cartesian."""
 
     model_config = ConfigDict(json_schema_extra={"examples": [ROWS_EXAMPLE]})
 
@@ -113,7 +166,7 @@ class CartesianRows(Wire):
 
 
 class RangeBearingRows(Wire):
-    """A batch as rows, for a map whose observations are range and bearing."""
+    """A batch as rows, for a robot whose observations are range and bearing."""
 
     model_config = ConfigDict(json_schema_extra={"examples": [RANGE_BEARING_EXAMPLE]})
 
@@ -127,7 +180,16 @@ class ObservationColumns(Wire):
     step: Indices = Field(description="the step of each observation, counted from 0; does not fall")
     landmark: Annotated[list[LandmarkId], FAIL_FAST]
     z: Matrix = Field(description="one list a channel: x and y, or range and bearing")
-    covariance: Matrices | None = Field(None, description="2x2 for each observation, in place of the map's sigma")
+    covariance: Matrices | None = Field(None, description="2x2 for each observation, in place of the robot's sigma")
+
+
+class EncounterColumns(Wire):
+    """Other robots of this map that were seen, in the order of the steps; the robots' clocks have to agree."""
+
+    step: Indices = Field(description="the step of each encounter, counted from 0; does not fall")
+    robot: Annotated[list[Name], FAIL_FAST] = Field(description="the other robots' names")
+    z: Matrix = Field(description="one list a channel: x and y, or range and bearing, of the other robot's origin")
+    covariance: Matrices | None = Field(None, description="2x2 for each encounter, in place of the robot's sigma")
 
 
 class Columns(Wire):
@@ -137,20 +199,27 @@ class Columns(Wire):
 
     sequence: Sequence
     t: Annotated[list[Seconds], FAIL_FAST] = Field(min_length=1, description=Steps)
-    control: Matrix | None = Field(None, description="one list a channel: dx, dy and dtheta, or v and omega")
+    control: Matrix | None = Field(None, description="one list a channel: dx, dy, dtheta; v, omega; or speed, steer")
     control_step: Indices | None = Field(None, description="the steps that have a control, if not all do")
-    control_covariance: Matrices | None = Field(None, description="3x3 for each odometry, in place of the map's sigma")
+    control_covariance: Matrices | None = Field(
+        None, description="3x3 for each odometry, in place of the robot's sigma"
+    )
     observation: ObservationColumns | None = None
+    encounter: EncounterColumns | None = None
 
 
 class Rejected(Wire):
-    """An observation that was set aside."""
+    """An observation of a landmark, or an encounter with another robot, that was set aside."""
 
     step: int
-    observation: int = Field(description="counted within its step")
-    landmark: str
-    reason: str
-    nis: float | None = Field(description="normalised innovation squared")
+    observation: int = Field(description="counted from 0 within the observations, or the encounters, of its step")
+    landmark: str | None = Field(None, description="absent for an encounter")
+    robot: str | None = Field(None, description="the other robot of an encounter; absent for a landmark")
+    reason: str = Field(
+        description="`gate`: beyond the map's gate; `unlikely`: used, but flagged; `singular`: no innovation could "
+        "be formed; `late`: the robot met had gone too far on"
+    )
+    nis: float | None = Field(description="normalised innovation squared, where one could be formed")
 
 
 class RobotPose(Wire):
@@ -186,7 +255,7 @@ class Acknowledgement(Wire):
 
     sequence: int
     steps: int
-    observations: int
+    observations: int = Field(description="encounters included")
     rejected: list[Rejected]
     flagged: list[Rejected] = Field(description="used, but less likely than 1 in 10 000")
     submap: int

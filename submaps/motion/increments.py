@@ -9,26 +9,38 @@ from submaps._jit import jit
 from submaps.config import MotionConfig
 from submaps.filtering.kernel import accumulate
 from submaps.measurements import Batch, Ints
-from submaps.motion import odometry, velocity
+from submaps.motion import ackermann, bicycle, odometry, velocity
 
 Floats = NDArray[np.float64]
 
 _odometry = odometry.increment
 _velocity = velocity.increment
-MODELS = {"odometry": 0, "velocity": 1}
+_bicycle = bicycle.increment
+_ackermann = ackermann.increment
+MODELS = {"odometry": 0, "velocity": 1, "bicycle": 2, "ackermann": 3}
+# s. Over a shorter interval a density's noise no longer grows: its reciprocal has to stay finite.
+SHORTEST = 1e-9
 
 
-@jit("void(int64, float64[:, ::1], float64[:, :, ::1], float64, float64[::1], float64[:, ::1], float64[:, :, ::1])")
+@jit(
+    "void(int64, float64, float64, float64[:, ::1], float64[:, :, ::1], float64[::1], float64[::1], float64[:, ::1],"
+    " float64[:, :, ::1])"
+)
 def _increments(
-    model: int, control: Floats, covariance: Floats, slip: float, dt: Floats, out: Floats, out_covariance: Floats
-) -> None:
-    own = covariance.shape[0] > 1
+    model: int, wheelbase: float, offset: float, control: Floats, covariance: Floats, slip: Floats, dt: Floats,
+    out: Floats, out_covariance: Floats,
+) -> None:  # fmt: skip
+    each, slips = covariance.shape[0] > 1, slip.shape[0] > 1
     for k in range(control.shape[1]):
-        noise = covariance[k if own else 0]
+        noise, lateral = covariance[k if each else 0], slip[k if slips else 0]
         if model == 0:
             _odometry(control[:, k], noise, out[k], out_covariance[k])
+        elif model == 1:
+            _velocity(control[:, k], noise, lateral, dt[k], out[k], out_covariance[k])
+        elif model == 2:
+            _bicycle(control[:, k], noise, wheelbase, dt[k], out[k], out_covariance[k])
         else:
-            _velocity(control[:, k], noise, slip, dt[k], out[k], out_covariance[k])
+            _ackermann(control[:, k], noise, lateral, wheelbase, offset, dt[k], out[k], out_covariance[k])
 
 
 def increments(config: MotionConfig, batch: Batch, previous_t: float | None) -> tuple[Floats, Floats]:
@@ -37,22 +49,36 @@ def increments(config: MotionConfig, batch: Batch, previous_t: float | None) -> 
     Each control covers the time from the step before it (``previous_t`` for the first; ``None``
     for a robot's very first step, whose control has no duration).
     """
-    channels = len(config.channels)
     before = np.empty_like(batch.t)
     before[1:] = batch.t[:-1]
     before[0] = batch.t[0] if previous_t is None else previous_t
     dt = (batch.t - before)[batch.control_step]
-    covariance = batch.control_covariance
-    if covariance is None or covariance.shape[0] == 0:
-        covariance = np.diag(np.square(config.sigma[:channels]))[np.newaxis]
-    elif covariance.shape[0] == 1:  # one row would read as the model's default for every control
-        covariance = np.repeat(covariance, 2, axis=0)
-    slip = config.sigma[2] if config.model == "velocity" and len(config.sigma) == 3 else 0.0
+    covariance, slip = _noise(config, batch.control_covariance, dt)
+    wheelbase, offset = config.wheelbase or 0.0, config.encoder_offset
     count = batch.control.shape[1]
     out = np.empty((count, 3))
     out_covariance = np.empty((count, 3, 3))
-    _increments(MODELS[config.model], batch.control, covariance, slip, dt, out, out_covariance)
+    _increments(
+        MODELS[config.model], wheelbase, offset, batch.control, covariance, slip, dt, out, out_covariance
+    )  # fmt: skip
     return out, out_covariance
+
+
+def _noise(config: MotionConfig, own: Floats | None, dt: Floats) -> tuple[Floats, Floats]:
+    """Covariances of readings (1 or c, d, d) and standard deviations of slip (1 or c,) over ``dt`` (c,) s.
+
+    ``own`` (c, d, d) are those that came with the readings, NaN where the model's stands.
+    """
+    channels = len(config.channels)
+    covariance = np.diag(np.square(config.sigma[:channels]))[np.newaxis]
+    slip = np.array(config.sigma[channels:] or (0.0,))
+    if config.noise == "density":
+        # A velocity of variance sigma²/dt moves by one of sigma² dt, as an increment does by itself.
+        share = dt if config.model == "odometry" else 1.0 / np.maximum(dt, SHORTEST)
+        covariance, slip = covariance * share[:, np.newaxis, np.newaxis], slip * np.sqrt(share)
+    if own is not None and own.shape[0]:
+        covariance = np.where(np.isnan(own[:, :1, :1]), covariance, own)
+    return covariance, slip
 
 
 @jit("void(float64[::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], int64[::1], float64[:, ::1])")

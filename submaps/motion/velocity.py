@@ -24,23 +24,31 @@ def rotation_series_slopes(phi: float) -> tuple[float, float]:
 
 
 @jit()
-def increment(control: Floats, covariance: Floats, slip: float, dt: float, out: Floats, out_covariance: Floats) -> None:
+def arc(
+    v: float, omega: float, vv: float, vw: float, ww: float, slip: float, dt: float, out: Floats, out_covariance: Floats
+) -> None:
     """Body-frame increment of an arc: V(omega dt) (v dt, 0), omega dt, with its covariance (3, 3).
 
     x = v/omega sin(omega dt), y = v/omega (1 - cos(omega dt)): the arc of the EKF-SLAM lecture, at
-    theta = 0. ``covariance`` (2, 2) is that of (v m/s, omega rad/s); ``slip`` the standard
-    deviation (m/s) of a lateral velocity that enters beside v.
+    theta = 0. ``vv``, ``vw`` and ``ww`` are the covariance of (v m/s, omega rad/s); ``slip`` the
+    standard deviation (m/s) of a lateral velocity that enters beside v.
     """
-    v, phi = control[0], control[1] * dt
+    phi = omega * dt
     a, b = rotation_series(phi)
     da, db = rotation_series_slopes(phi)
     out[0], out[1], out[2] = v * dt * a, v * dt * b, phi
     by_omega = (v * dt * dt * da, v * dt * dt * db, dt)
     by_v = (dt * a, dt * b, 0.0)
     by_slip = (-dt * b * slip, dt * a * slip, 0.0)
-    vv, vw, ww = covariance[0, 0], covariance[0, 1], covariance[1, 1]
     for i in range(3):
         for j in range(3):
             mixed = by_v[i] * by_omega[j] + by_omega[i] * by_v[j]
             own = by_v[i] * by_v[j] * vv + by_omega[i] * by_omega[j] * ww + by_slip[i] * by_slip[j]
             out_covariance[i, j] = own + mixed * vw
+
+
+@jit()
+def increment(control: Floats, covariance: Floats, slip: float, dt: float, out: Floats, out_covariance: Floats) -> None:
+    """Increment of one reading (v m/s, omega rad/s), ``covariance`` (2, 2) its own: ``arc``."""
+    vv, vw, ww = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    arc(control[0], control[1], vv, vw, ww, slip, dt, out, out_covariance)

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from submaps.config import MotionConfig
+from submaps.errors import ConfigError
 from submaps.filtering.closing import flush
 from submaps.motion.increments import dead_reckon, increments
+from submaps.motion.limits import followable
 from submaps.submap import ActiveSubmap
-from tests.core.support import Step, after, batch, jacobian, random_covariance
+from tests.core.support import R, Step, after, batch, jacobian, random_covariance
 
 Floats = NDArray[np.float64]
 
@@ -92,6 +96,206 @@ def test_a_control_lasts_from_the_step_before_it() -> None:
     first = batch([Step((1.0, 0.0), t=3.0)])
     assert increments(MotionConfig("velocity", (0.1, 0.1)), first, None)[0][0, 0] == 0.0
     assert increments(MotionConfig("velocity", (0.1, 0.1)), first, 1.0)[0][0, 0] == 2.0
+
+
+L, H = 2.83, 0.76  # m: the car of Victoria Park
+VEHICLES = {
+    "bicycle": MotionConfig("bicycle", (0.3, 0.05), wheelbase=L),
+    "ackermann": MotionConfig("ackermann", (0.3, 0.05, 0.2), wheelbase=L, encoder_offset=H),
+    "ackermann, the encoder to the right": MotionConfig("ackermann", (0.3, 0.05), wheelbase=L, encoder_offset=-H),
+}
+
+
+def vehicle(config: MotionConfig, speed: float, steer: float, dt: float) -> tuple[Floats, Floats]:
+    """Increment and covariance of one reading of a vehicle."""
+    steps, noises = increments(config, batch([Step((speed, steer), t=dt)]), 0.0)
+    return steps[0], noises[0]
+
+
+def lecture(pose: Floats, speed: float, steer: float, dt: float) -> Floats:
+    """The pose after one step of the lecture's process model, in its own frame's axes."""
+    x, y, psi = pose
+    return np.array([
+        x + speed * dt * math.cos(psi + steer), y + speed * dt * math.sin(psi + steer),
+        psi + speed * dt * math.sin(steer) / L,
+    ])  # fmt: skip
+
+
+def car(config: MotionConfig, speed: float, steer: float, slip: float, dt: float) -> Floats:
+    """The pose of a car's rear axle after a reading, from its geometry."""
+    v = speed / (1.0 - math.tan(steer) * config.encoder_offset / L)
+    return slide(v, slip, v * math.tan(steer) / L, dt)
+
+
+@pytest.mark.parametrize("speed", [2.0, -0.7, 0.0])
+@pytest.mark.parametrize("steer", [0.6, -0.2, 1e-9, 0.0, 2.5])
+def test_a_bicycle_follows_the_lecture(speed: float, steer: float) -> None:
+    moved, _ = vehicle(VEHICLES["bicycle"], speed, steer, 0.4)
+    for pose in (np.zeros(3), np.array([3.0, -2.0, 1.1])):
+        assert np.allclose(after(pose, moved), lecture(pose, speed, steer, 0.4), rtol=0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("steer", [0.6, -0.6, 1e-4, 1e-9, 0.0])
+@pytest.mark.parametrize("name", [name for name in VEHICLES if name != "bicycle"])
+def test_a_car_follows_the_arc_of_its_rear_axle(name: str, steer: float) -> None:
+    moved, _ = vehicle(VEHICLES[name], 3.0, steer, 0.5)
+    assert np.allclose(moved, car(VEHICLES[name], 3.0, steer, 0.0, 0.5), rtol=0.0, atol=2e-15)
+    if steer > 0.1:  # turning left, a wheel on the left is slower than the middle of the axle
+        assert (np.hypot(*moved[:2]) > 1.5) == (VEHICLES[name].encoder_offset > 0.0)
+
+
+def test_a_car_without_an_offset_is_a_velocity() -> None:
+    config = MotionConfig("ackermann", (0.3, 0.0, 0.2), wheelbase=L)
+    for steer in (0.5, 1e-3, 0.0, -1.2):
+        moved, noise = vehicle(config, 1.4, steer, 0.6)
+        expected, _ = velocity(1.4, 1.4 * math.tan(steer) / L, 0.6)
+        assert np.allclose(moved, expected, rtol=0.0, atol=1e-15)
+        # The speed alone uncertain: v and omega err together, by 1 : tan(steer) / L.
+        at = np.array([0.3, 0.3 * math.tan(steer) / L])
+        sent = replace(batch([Step((1.4, 1.4 * math.tan(steer) / L), t=0.6)]),
+                       control_covariance=np.outer(at, at)[np.newaxis])  # fmt: skip
+        _, theirs = increments(MotionConfig("velocity", (9.0, 9.0, 0.2)), sent, 0.0)
+        assert np.allclose(noise, theirs[0], rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("steer", [0.6, -0.3, 1e-5, 0.0])
+@pytest.mark.parametrize("speed", [2.0, -0.5, 0.0])
+@pytest.mark.parametrize("noise", ["reading", "density"])
+@pytest.mark.parametrize("name", VEHICLES)
+def test_the_covariance_of_a_vehicle(name: str, noise: Any, speed: float, steer: float) -> None:
+    dt, config = 0.7, replace(VEHICLES[name], noise=noise)
+
+    def model(c: Floats) -> Floats:
+        return lecture(np.zeros(3), c[0], c[1], dt) if name == "bicycle" else car(config, c[0], c[1], c[2], dt)
+
+    J = jacobian(model, np.array([speed, steer, 0.0]))
+    sigma = np.array([*config.sigma, 0.0][:3]) / (1.0 if noise == "reading" else math.sqrt(dt))
+    _, found = vehicle(config, speed, steer, dt)
+    assert np.allclose(found, J @ np.diag(sigma**2) @ J.T, rtol=1e-9, atol=1e-12)
+    assert np.array_equal(found, found.T)
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_a_vehicle_may_bring_its_own_covariance(name: str) -> None:
+    own = random_covariance(np.random.default_rng(5), 2, 0.1)
+    config = VEHICLES[name]
+    sent = replace(batch([Step((2.0, 0.3), t=0.5)]), control_covariance=own[np.newaxis])
+    bare = replace(config, sigma=(9.0, 9.0))
+    J = jacobian(lambda c: vehicle(config, c[0], c[1], 0.5)[0], np.array([2.0, 0.3]))
+    assert np.allclose(increments(bare, sent, 0.0)[1][0], J @ own @ J.T, rtol=1e-9, atol=1e-12)
+
+
+def test_the_encoder_of_victoria_park_is_on_the_left(data_dir: Path) -> None:
+    """Two minutes of its raw controls, rigidly aligned with GPS, whose antenna is at (3.78, 0.50) m."""
+    folder = data_dir / "victoria_park_raw"
+    if not folder.is_dir():
+        pytest.skip(f"no {folder.name} at {data_dir}")
+    t_ms, *control = np.loadtxt(folder / "controls.csv", delimiter=",", skiprows=1, max_rows=4800).T
+    fixes = np.loadtxt(folder / "gps.csv", delimiter=",", skiprows=1)
+    fixes = fixes[(fixes[:, 0] > t_ms[0]) & (fixes[:, 0] < t_ms[-1])]
+    sent = batch([Step((v, steer), t=t) for t, v, steer in zip(t_ms / 1e3, *control, strict=True)])
+    assert followable(VEHICLES["ackermann"], sent.control).all()
+    errors = []
+    for offset in (H, 0.0, -H):
+        steps, noises = increments(replace(VEHICLES["ackermann"], encoder_offset=offset), sent, None)
+        track = np.empty((sent.steps, 3))
+        dead_reckon(np.zeros(3), np.zeros((3, 3)), steps, noises, sent.control_step, track)
+        antenna = np.stack([after(pose, np.array([3.78, 0.5, 0.0]))[:2] for pose in track])
+        there = np.stack([np.interp(fixes[:, 0], t_ms, column) for column in antenna.T], axis=1)
+        a, b = there - there.mean(axis=0), fixes[:, 1:] - fixes[:, 1:].mean(axis=0)
+        turn = np.angle(np.sum((b[:, 0] + 1j * b[:, 1]) * (a[:, 0] - 1j * a[:, 1])))
+        errors.append(float(np.median(np.hypot(*(a @ R(turn).T - b).T))))
+    assert errors[0] < 2.5
+    assert errors[0] < 0.5 * errors[1] < 0.5 * errors[2]
+
+
+CONTROLS: dict[str, tuple[MotionConfig, tuple[float, ...]]] = {
+    "odometry": (MotionConfig("odometry", (0.1, 0.2, 0.05)), (0.4, -0.1, 0.06)),
+    "velocity": (MotionConfig("velocity", (0.1, 0.05, 0.2)), (0.4, 0.06)),
+    **{name: (config, (0.4, 0.1)) for name, config in VEHICLES.items()},
+}
+
+
+@pytest.mark.parametrize("name", CONTROLS)
+def test_an_interval_split_in_parts_has_the_same_covariance_under_density(name: str) -> None:
+    """To first order in the increment; the sigma of a reading would shrink by the number of parts."""
+    config, control = CONTROLS[name]
+    ratio: dict[str, list[float]] = {"density": [], "reading": []}
+    for scale in (1.0, 1e-3):
+        for noise, ratios in ratio.items():
+            model = replace(config, noise=noise)  # type: ignore[arg-type]
+            found = [split(model, tuple(scale * c for c in control), parts) for parts in (1, 10)]
+            ratios.append(float(np.trace(found[1]) / np.trace(found[0])))
+            if noise == "density":
+                assert np.allclose(found[0], found[1], rtol=0.0, atol=0.4 * scale * np.abs(found[0]).max())
+    assert ratio["density"][1] == pytest.approx(1.0, abs=1e-3)
+    assert ratio["reading"][1] == pytest.approx(10.0 if name == "odometry" else 0.1, rel=1e-2)
+
+
+def split(config: MotionConfig, control: tuple[float, ...], parts: int) -> Floats:
+    """Covariance of dead reckoning over one second, cut into equal parts."""
+    each = tuple(c / parts for c in control) if config.model == "odometry" else control
+    sent = batch([Step(each, t=(k + 1) / parts) for k in range(parts)])
+    steps, noises = increments(config, sent, 0.0)
+    pose, covariance = np.zeros(3), np.zeros((3, 3))
+    dead_reckon(pose, covariance, steps, noises, sent.control_step, np.empty((parts, 3)))
+    return covariance
+
+
+@pytest.mark.parametrize("name", CONTROLS)
+def test_no_time_no_noise_under_density(name: str) -> None:
+    config, control = CONTROLS[name]
+    config = replace(config, noise="density")
+    assert np.array_equal(increments(config, batch([Step(control, t=3.0)]), None)[1][0], np.zeros((3, 3)))
+    for dt in (5e-324, 1e-300, 1e-12):
+        _, noises = increments(config, batch([Step(control, t=dt)]), 0.0)
+        assert np.isfinite(noises).all()
+
+
+def test_a_reading_without_a_covariance_of_its_own_has_that_of_the_density() -> None:
+    config = MotionConfig("odometry", (0.1, 0.2, 0.3), "density")
+    own = np.full((3, 3, 3), np.nan)
+    own[1] = random_covariance(np.random.default_rng(6), 3, 0.1)
+    sent = replace(batch([Step((1.0, 0.0, 0.0), t=t) for t in (1.0, 1.5, 4.0)]), control_covariance=own)
+    _, noises = increments(config, sent, 0.8)
+    for k, dt in ((0, 0.2), (2, 2.5)):
+        assert np.allclose(noises[k], np.diag([0.01, 0.04, 0.09]) * dt, rtol=1e-12)
+    assert np.array_equal(noises[1], own[1])
+
+
+@pytest.mark.parametrize(("field", "arguments"), [
+    ("motion.model", ("tracks", (0.1, 0.1))),
+    ("motion.noise", ("velocity", (0.1, 0.1), "per step")),
+    ("motion.sigma", ("bicycle", (0.1, 0.1, 0.1), "reading", 2.0)),
+    ("motion.sigma", ("ackermann", (0.1,), "reading", 2.0)),
+    ("motion.wheelbase", ("bicycle", (0.1, 0.1))),
+    ("motion.wheelbase", ("ackermann", (0.1, 0.1), "reading", 0.0)),
+    ("motion.wheelbase", ("ackermann", (0.1, 0.1), "reading", math.inf)),
+    ("motion.wheelbase", ("velocity", (0.1, 0.1), "reading", 2.0)),
+    ("motion.encoder_offset", ("ackermann", (0.1, 0.1), "reading", 2.0, 2.0)),
+    ("motion.encoder_offset", ("ackermann", (0.1, 0.1), "reading", 2.0, math.nan)),
+    ("motion.encoder_offset", ("bicycle", (0.1, 0.1), "reading", 2.0, 0.5)),
+    ("motion.encoder_offset", ("odometry", (0.1, 0.1, 0.1), "reading", None, 0.5)),
+])  # fmt: skip
+def test_a_motion_that_cannot_be_is_refused(field: str, arguments: tuple[Any, ...]) -> None:
+    with pytest.raises(ConfigError) as refused:
+        MotionConfig(*arguments)
+    assert refused.value.field == field
+
+
+def test_what_a_vehicle_can_follow() -> None:
+    steer = np.array([0.0, 1.4, -1.4, 1.49, -1.49, 1.51, -1.51, 3.2])
+    control = np.stack([np.ones_like(steer), steer])
+    expected = {
+        "bicycle": [True] * 7 + [False],
+        "ackermann": [True, False, True, False, True, False, False, False],  # the inner wheel stops at 1.3 rad
+        "ackermann, the encoder to the right": [True, True, False, True, False, False, False, False],
+    }
+    for name, config in VEHICLES.items():
+        assert followable(config, control).tolist() == expected[name]
+        followed = [vehicle(config, 1.0, float(a), 1.0) for a in steer[followable(config, control)]]
+        assert all(np.isfinite(moved).all() and np.isfinite(noise).all() for moved, noise in followed)
+    assert followable(MotionConfig("velocity", (0.1, 0.1)), control).all()
 
 
 def test_dead_reckoning_composes_poses_and_their_errors() -> None:

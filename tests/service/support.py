@@ -30,6 +30,14 @@ VELOCITY_MAP: Json = {
     "motion": {"model": "velocity", "sigma": [0.05, 0.02]},
     "observation": {"model": "range_bearing", "sigma": [0.1, 0.02], "mount": [0.3, 0.0, 0.1]},
 }
+BICYCLE_MAP: Json = {
+    "motion": {"model": "bicycle", "sigma": [0.05, 0.02], "wheelbase": 1.1, "noise": "density"},
+    "observation": {"model": "cartesian", "sigma": [0.1, 0.1]},
+}
+CAR_MAP: Json = {
+    "motion": {"model": "ackermann", "sigma": [0.1, 0.02, 0.05], "wheelbase": 2.83, "encoder_offset": 0.76},
+    "observation": {"model": "range_bearing", "sigma": [0.1, 0.02], "mount": [3.78, 0.5, 0.0]},
+}
 
 
 @dataclass

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import uuid
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from typing import Any
 
 import pytest
 
+from submaps.measurements import encounter
 from tests.service.conftest import good
-from tests.service.support import COLUMNS_TYPE, Api, Json, as_columns, check, problem
+from tests.service.support import BICYCLE_MAP, CAR_MAP, COLUMNS_TYPE, Api, Json, Server, as_columns, check, problem
 
 Change = Callable[[Json], Any]
 NAN, INF = float("nan"), float("inf")
@@ -36,6 +39,7 @@ def whole(body: Json) -> Json:
     return body
 
 
+MET = {"robot": "r2", "x": 3.0, "y": 0.1}
 STEP, SEEN = "steps.5", "steps.5.observations.0"
 
 ROWS: dict[str, tuple[Change, str, str]] = {
@@ -62,7 +66,9 @@ ROWS: dict[str, tuple[Change, str, str]] = {
     "infinite control": (put(lambda b: step(b)["odometry"], "dx", INF), f"{STEP}.odometry.dx", "finite"),
     "huge control": (put(lambda b: step(b)["odometry"], "dx", 1e10), f"{STEP}.odometry.dx", "less than"),
     "control of another model": (put(step, "velocity", {"v": 1, "omega": 0}), f"{STEP}.velocity", "odometry"),
-    "control of an unknown model": (put(step, "bicycle", {"speed": 1, "steer": 0}), f"{STEP}.bicycle", "odometry"),
+    "control of a vehicle": (put(step, "bicycle", {"speed": 1, "steer": 0}), f"{STEP}.bicycle", "odometry"),
+    "control of another vehicle": (put(step, "ackermann", {"speed": 1, "steer": 0}), f"{STEP}.ackermann", "odometry"),
+    "control of an unknown model": (put(step, "tracks", {"left": 1, "right": 0}), f"{STEP}.tracks", "odometry"),
     "half a control": (put(step, "odometry", {"dx": 1, "dy": 0}), f"{STEP}.odometry.dtheta", "required"),
     "not a number": (put(seen, "x", NAN), f"{SEEN}.x", "finite"),
     "infinite": (put(seen, "y", -INF), f"{SEEN}.y", "finite"),
@@ -74,6 +80,8 @@ ROWS: dict[str, tuple[Change, str, str]] = {
     "an empty landmark's id": (put(seen, "landmark", ""), f"{SEEN}.landmark", "at least 1"),
     "a long landmark's id": (put(seen, "landmark", "x" * 129), f"{SEEN}.landmark", "at most 128"),
     "an unprintable landmark's id": (put(seen, "landmark", "a\nb"), f"{SEEN}.landmark", "printable"),
+    "an encounter's name as a landmark's id":
+        (put(seen, "landmark", encounter("r2", 1.0)), f"{SEEN}.landmark", "printable"),
     "no landmark": (lambda b: seen(b).pop("landmark"), f"{SEEN}.landmark", "required"),
     "a covariance with a negative eigenvalue":
         (put(seen, "covariance", [[1, 2], [2, 1]]), f"{SEEN}.covariance", "positive definite"),
@@ -87,6 +95,20 @@ ROWS: dict[str, tuple[Change, str, str]] = {
     "a control's covariance that is not positive definite":
         (put(lambda b: step(b)["odometry"], "covariance", [[1, 0, 0], [0, -1, 0], [0, 0, 1]]),
          f"{STEP}.odometry.covariance", "positive definite"),
+    "an encounter with itself":
+        (put(step, "encounters", [MET, {**MET, "robot": "r1"}]), f"{STEP}.encounters.1.robot", "itself"),
+    "an encounter with no robot":
+        (put(step, "encounters", [{"x": 1.0, "y": 0.0}]), f"{STEP}.encounters.0.robot", "required"),
+    "an encounter with a landmark":
+        (put(step, "encounters", [{**MET, "landmark": "7"}]), f"{STEP}.encounters.0.landmark", "unknown field"),
+    "an encounter with what is no name":
+        (put(step, "encounters", [{**MET, "robot": "R 2"}]), f"{STEP}.encounters.0.robot", "pattern"),
+    "an encounter as range and bearing":
+        (put(step, "encounters", [{"robot": "r2", "range": 3.0, "bearing": 0.1}]), f"{STEP}.encounters.0.x",
+         "cartesian"),
+    "an encounter's covariance that is singular":
+        (put(step, "encounters", [MET, {**MET, "covariance": [[1, 1], [1, 1]]}]), f"{STEP}.encounters.1.covariance",
+         "positive definite"),
     "observations as range and bearing":
         (put(step, "observations", [{"landmark": "1", "range": 3.0, "bearing": 0.1}]), f"{SEEN}.x", "cartesian"),
 }  # fmt: skip
@@ -105,6 +127,7 @@ def landmarks(body: Json) -> Json:
     return columns
 
 
+MEETING = {"step": [1, 4], "robot": ["r2", "r3"], "z": [[3.0, 2.5], [0.1, 0.2]]}
 COLUMNS: dict[str, tuple[Change, str, str]] = {
     "no steps": (put(whole, "t", []), "t", "at least 1"),
     "time backwards": (lambda b: b["t"].__setitem__(5, 1.05), "t.5", "after the step before"),
@@ -134,6 +157,16 @@ COLUMNS: dict[str, tuple[Change, str, str]] = {
     "a covariance that is not positive definite":
         (lambda b: landmarks(b).update(covariance=[[[1, 0], [0, 1]]] * (len(landmarks(b)["step"]) - 1)
                                        + [[[1, 3], [3, 1]]]), "observation.covariance.LAST", "positive definite"),
+    "an encounter's step beyond the end":
+        (put(whole, "encounter", {**MEETING, "step": [1, 6]}), "encounter.step.1", "0 to 5"),
+    "encounters out of order": (put(whole, "encounter", {**MEETING, "step": [4, 1]}), "encounter.step.1", "order"),
+    "a robot short": (put(whole, "encounter", {**MEETING, "robot": ["r2"]}), "encounter.robot", "one for each"),
+    "no robot's name": (put(whole, "encounter", {**MEETING, "robot": ["r2", "?"]}), "encounter.robot.1", "pattern"),
+    "an encounter with itself":
+        (put(whole, "encounter", {**MEETING, "robot": ["r2", "r1"]}), "encounter.robot.1", "itself"),
+    "an encounter short": (put(whole, "encounter", {**MEETING, "z": [[1.0], [2.0, 3.0]]}), "encounter.z.0", "one each"),
+    "an encounter's covariance short":
+        (put(whole, "encounter", {**MEETING, "covariance": [[[1, 0], [0, 1]]]}), "encounter.covariance", "one each"),
     "a control's covariance short":
         (put(whole, "control_covariance", [[[1, 0, 0], [0, 1, 0], [0, 0, 1]]]), "control_covariance", "one each"),
 }  # fmt: skip
@@ -214,3 +247,20 @@ def test_a_first_batch_has_sequence_1(unchanged: Api) -> None:
 
 def test_content_comes_before_sequence(unchanged: Api) -> None:
     check(unchanged, unchanged.post({**good(), "sequence": 9, "steps": []}), 422, "steps")
+
+
+@pytest.mark.parametrize(("config", "model", "steer", "message"), [
+    (BICYCLE_MAP, "bicycle", 3.2, "within 3.142 rad"),
+    (CAR_MAP, "ackermann", -1.6, "within 1.5 rad"),
+    (CAR_MAP, "ackermann", 1.4, "encoder_offset / wheelbase above 0.05"),
+])  # fmt: skip
+def test_a_steer_that_no_vehicle_can_follow(
+    server: Server, config: Json, model: str, steer: float, message: str
+) -> None:
+    with closing(Api(server.url, f"m{uuid.uuid4().hex[:12]}").make(config)) as api:
+        rows = {"sequence": 1, "steps": [{"t": 1.0}, {"t": 2.0, model: {"speed": 1.0, "steer": steer}}]}
+        check(api, api.post(rows), 422, f"steps.1.{model}.steer", message)
+        columns = {"sequence": 1, "t": [1.0, 2.0], "control": [[1.0, 1.0], [0.1, steer]]}
+        check(api, api.post(columns, type_=COLUMNS_TYPE), 422, "control.1.1", message)
+        assert api.get("")["counts"]["steps"] == 0
+        assert api.get("")["config"]["motion"] == config["motion"]

@@ -34,7 +34,7 @@ def test_wrong_methods(unchanged: Api) -> None:
     problem(answer, 405)
     assert answer.headers["allow"] == "DELETE, GET"
     problem(unchanged.http.get(f"{unchanged.root}/optimize"), 405)
-    problem(unchanged.http.put(f"{unchanged.root}/robots/r1"), 405)
+    problem(unchanged.http.delete(f"{unchanged.root}/robots/r1"), 405)
 
 
 @pytest.mark.parametrize(("path", "field"), [
@@ -74,14 +74,23 @@ def test_refinement_is_not_supported_yet(unchanged: Api) -> None:
 
 MOTION = {"model": "odometry", "sigma": [0.1, 0.1, 0.1]}
 OBSERVATION = {"model": "cartesian", "sigma": [0.1, 0.1]}
+CAR = {"model": "ackermann", "sigma": [0.1, 0.02], "wheelbase": 2.83}
 MAPS: dict[str, tuple[Json, str]] = {
     "no motion": ({"observation": OBSERVATION}, "motion"),
     "no observation": ({"motion": MOTION}, "observation"),
-    "unknown motion": ({"motion": {**MOTION, "model": "bicycle"}}, "motion"),
+    "unknown motion": ({"motion": {**MOTION, "model": "tracks"}}, "motion"),
     "motion without a model": ({"motion": {"sigma": [1, 1, 1]}}, "motion"),
     "sigma short": ({"motion": {**MOTION, "sigma": [0.1, 0.1]}}, "motion.odometry.sigma"),
     "sigma below 0": ({"motion": {**MOTION, "sigma": [0.1, -0.1, 0.1]}}, "motion.odometry.sigma.1"),
-    "density": ({"motion": {**MOTION, "noise": "density"}}, "motion.odometry.noise"),
+    "unknown noise": ({"motion": {**MOTION, "noise": "per step"}}, "motion.odometry.noise"),
+    "a wheelbase of no vehicle": ({"motion": {**MOTION, "wheelbase": 1.0}}, "motion.odometry.wheelbase"),
+    "no wheelbase": ({"motion": {"model": "bicycle", "sigma": [0.1, 0.1]}}, "motion.bicycle.wheelbase"),
+    "wheelbase 0": ({"motion": {**CAR, "wheelbase": 0}}, "motion.ackermann.wheelbase"),
+    "a bicycle that slips":
+        ({"motion": {"model": "bicycle", "sigma": [0.1, 0.1, 0.1], "wheelbase": 1.0}}, "motion.bicycle.sigma"),
+    "a bicycle with an encoder":
+        ({"motion": {**CAR, "model": "bicycle", "encoder_offset": 0.5}}, "motion.bicycle.encoder_offset"),
+    "an encoder ahead of the car": ({"motion": {**CAR, "encoder_offset": 2.83}}, "motion.encoder_offset"),
     "unknown observation": ({"observation": {**OBSERVATION, "model": "radar"}}, "observation.model"),
     "sigma 0": ({"observation": {**OBSERVATION, "sigma": [0.1, 0]}}, "observation.sigma.1"),
     "mount short": ({"observation": {**OBSERVATION, "mount": [0, 0]}}, "observation.mount"),
@@ -93,7 +102,7 @@ MAPS: dict[str, tuple[Json, str]] = {
     "heading 0": ({"submap": {"max_heading_sigma": 0}}, "submap.max_heading_sigma"),
     "unknown field": ({"color": "red"}, "color"),
     "bad id": ({"id": "Park!"}, "id"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", MAPS)

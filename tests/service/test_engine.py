@@ -46,7 +46,7 @@ async def make(engine: Engine, id_: str = "park") -> Hosted:
 
 
 async def send(engine: Engine, hosted: Hosted, body: Json, robot: str = "r1") -> Json:
-    decoded = decode(ROWS_TYPE, json.dumps(body).encode(), hosted.core)
+    decoded = decode(ROWS_TYPE, json.dumps(body).encode(), hosted.core, "r1")
     acknowledgement: Json = orjson.loads(await engine.ingest(hosted, robot, decoded))
     return acknowledgement
 
@@ -64,7 +64,7 @@ def test_batches_that_come_together_share_syncs(tmp_path: Path) -> None:
             hosted = await make(engine)
             before = engine.journal.stats.syncs
             for body in batches(5, 2):
-                decoded = decode(ROWS_TYPE, json.dumps(body).encode(), hosted.core)
+                decoded = decode(ROWS_TYPE, json.dumps(body).encode(), hosted.core, "r1")
                 await asyncio.gather(*(engine.ingest(hosted, f"r{k}", decoded) for k in range(32)))
             assert engine.counters.batches == 160
             assert engine.journal.stats.syncs - before <= 60

@@ -20,9 +20,11 @@ from service.store.base import (
     Event,
     Journal,
     Outcome,
+    RobotEvent,
     SolveEvent,
     StoreError,
 )
+from service.store.migrations import load_migrations
 from service.store.sqlite import SqliteJournal
 
 STORES: dict[str, Callable[[Path], Journal]] = {"sqlite": SqliteJournal}
@@ -71,15 +73,23 @@ def derived(sequence: int, robot: str = "r1", map_: int = 1) -> Derived:
     return Derived(map_, robot, sequence, float(sequence), sequence + 0.5, b"ack%d" % sequence, b"track%d" % sequence)
 
 
+def robot(position: int, name: str = "r1", map_: int = 1) -> RobotEvent:
+    return RobotEvent(map_, position, name, b'{"position": %d}' % position)
+
+
 MAP = CreateMap(1, "park", b"{}")
 
 
 def test_events_come_back_in_one_order(opened: Opened) -> None:
-    events: list[Event] = [batch(1, 1), batch(2, 1, "r2"), solve(3, 1), batch(4, 2), solve(5, 4, 2), batch(6, 2, "r2")]
-    opened.write(MAP, *events)
+    events: list[Event] = [
+        robot(1, "r2"), batch(2, 1), robot(3, "r2"), batch(4, 1, "r2"), solve(5, 2), batch(6, 2), robot(7, "r3"),
+        solve(8, 6, 2), batch(9, 2, "r2"),
+    ]  # fmt: skip
+    opened.write(MAP, CreateMap(2, "yard", b"[]"), *events, robot(1, "r9", 2))
     assert [event for event, _ in opened.journal.events(1)] == events
-    assert [event for event, _ in opened.journal.events(1, after=3)] == events[3:]
-    assert opened.journal.solve_bases(1) == {1, 4}
+    assert [event for event, _ in opened.journal.events(1, after=5)] == events[5:]
+    assert [event for event, _ in opened.journal.events(2)] == [robot(1, "r9", 2)]
+    assert opened.journal.solve_bases(1) == {2, 6}
 
 
 def test_what_was_heard_of_is_there_after_opening_again(make: Callable[[Path], Journal], tmp_path: Path) -> None:
@@ -142,7 +152,7 @@ def test_a_deleted_map_frees_its_id_and_never_its_key(opened: Opened) -> None:
 
 
 def test_a_deleted_map_is_cleared_away(opened: Opened) -> None:
-    opened.write(MAP, *(batch(i, i) for i in range(1, 180)), DeleteMap(1))
+    opened.write(MAP, *(batch(i, i) for i in range(1, 120)), *(robot(i) for i in range(120, 180)), DeleteMap(1))
     for _ in range(200):
         if not list(opened.journal.events(1)):
             break
@@ -172,6 +182,22 @@ def test_nothing_is_written_after_an_entry_was_lost(opened: Opened) -> None:
 def test_a_second_server_is_refused(make: Callable[[Path], Journal], opened: Opened, tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="in use"):
         make(tmp_path)
+
+
+def test_a_journal_of_an_earlier_version_is_brought_up_to_date(tmp_path: Path) -> None:
+    version, first = load_migrations()[0]
+    connection = sqlite3.connect(tmp_path / "journal.sqlite")
+    connection.executescript(first)
+    connection.execute("CREATE TABLE migration (version INTEGER PRIMARY KEY)")
+    connection.execute("INSERT INTO migration VALUES (?)", (version,))
+    connection.execute("INSERT INTO map (key, id, config) VALUES (1, 'park', '{}')")
+    connection.execute("INSERT INTO batch VALUES (1, 1, 'r1', 1, ?, ?)", (batch(1, 1).digest, batch(1, 1).data))
+    connection.commit()
+    connection.close()
+    opened = Opened(SqliteJournal, tmp_path)
+    opened.write(robot(2, "r2"), batch(3, 1, "r2"))
+    assert [event for event, _ in opened.journal.events(1)] == [batch(1, 1), robot(2, "r2"), batch(3, 1, "r2")]
+    opened.journal.close()
 
 
 def test_a_journal_of_a_later_version_is_refused(tmp_path: Path) -> None:

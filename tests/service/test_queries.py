@@ -246,7 +246,7 @@ def test_a_gate_rejects_and_says_so(server: Server) -> None:
         assert (rejected["step"], rejected["observation"], rejected["reason"]) == (1, 1, "gate")
         # Two sightings of 0.1 m each that differ by 3 m.
         assert rejected["nis"] == pytest.approx(3.0**2 / (2 * 0.1**2))
-        assert api.get("")["counts"]["rejected"] == 1
+        assert api.get("")["counts"]["rejected"] == api.get("/robots/r1")["rejected"] == 1
 
 
 def test_health(server: Server, api: Api) -> None:

@@ -9,11 +9,12 @@ import numpy as np
 import orjson
 import pytest
 
-from service.runtime import Measured, Runtime, Solved
+from service.runtime import Configured, MapEvent, Measured, Runtime, Solved
 from service.wire.base import parse
 from service.wire.columns import ROWS_TYPE, decode
 from service.wire.maps import MAP_REQUEST
 from submaps.atlas.joining import join
+from submaps.config import RobotConfig
 from submaps.errors import DigestMismatch
 from submaps.measurements import Batch, Report
 from tests.service.support import ODOMETRY_MAP, batches
@@ -22,7 +23,7 @@ CORE = parse(MAP_REQUEST, json.dumps(ODOMETRY_MAP).encode()).to_core()
 
 
 def measured(count: int, size: int) -> list[Batch]:
-    return [decode(ROWS_TYPE, json.dumps(b).encode(), CORE).batch for b in batches(count, size)]
+    return [decode(ROWS_TYPE, json.dumps(b).encode(), CORE, "r1").batch for b in batches(count, size)]
 
 
 def bits(runtime: Runtime) -> bytes:
@@ -39,10 +40,10 @@ def bits(runtime: Runtime) -> bytes:
     }, default=np.ndarray.tolist, option=orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_SERIALIZE_DATACLASS)  # fmt: skip
 
 
-def drive(solve_at: set[int], late: int) -> tuple[Runtime, list[Measured | Solved], list[Report]]:
+def drive(solve_at: set[int], late: int) -> tuple[Runtime, list[MapEvent], list[Report]]:
     """Drive live: a problem is captured at each of ``solve_at``, its solve comes in ``late`` batches later."""
     live = Runtime(CORE)
-    events: list[Measured | Solved] = []
+    events: list[MapEvent] = []
     reports = []
     due: dict[int, Solved] = {}
     for number, batch in enumerate(measured(24, 10)):
@@ -95,3 +96,20 @@ def test_a_solve_of_another_state_is_refused() -> None:
             again.apply(event)
         with pytest.raises(DigestMismatch):
             again.apply(wrong)
+
+
+def test_what_sets_a_robot_apart_is_replayed_in_its_place() -> None:
+    surer = replace(CORE.motion, sigma=tuple(0.5 * s for s in CORE.motion.sigma))
+    own = RobotConfig(surer, CORE.observation)
+    _, events, _ = drive({8, 15}, 2)
+    bases = frozenset(event.base for event in events if isinstance(event, Solved))
+    moved = [replace(event, position=event.position + 1) for event in events if not isinstance(event, Solved)]
+    found = []
+    for first in ([Configured(1, "r1", own)], [Configured(1, "r0", own)], [Configured(1, "r9", own)]):
+        live, again = Runtime(CORE), Runtime(CORE, bases)
+        for event in (*first, *moved):
+            live.apply(event)
+            again.apply(event)
+        assert bits(again) == bits(live)
+        found.append(bits(live))
+    assert len(set(found)) == 3  # r9 never came
