@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps.geometry.se2 import exp, log
+from submaps.geometry.trig import sincos
 from submaps.measurements import Floats, Ints
 
 # (1e-4 m)²: keeps a pose and a mark at the same place from being the same number twice.
@@ -47,6 +48,33 @@ class Columns:
             z=np.ascontiguousarray(self.z[:, keep]), R=self.R if self.R.shape[0] == 1 else one_each(self.R[keep]),
             own=self.own[keep],
         )  # fmt: skip
+
+    def since(self, step: int) -> Columns:
+        """The steps from one on, its control left out."""
+        control, seen = self.control_step > step, self.observation_step >= step
+        c = self.only(seen)
+        return replace(
+            c, t=self.t[step:], control_step=self.control_step[control] - step, increments=self.increments[control],
+            noises=self.noises[control], observation_step=c.observation_step - step,
+        )  # fmt: skip
+
+    def then(self, after: Columns) -> Columns:
+        """These columns and those that follow them."""
+        count = self.t.shape[0]
+        R = self.R
+        if R.shape[0] != 1 or after.R is not R:
+            R = one_each(np.concatenate([np.broadcast_to(c.R, (c.landmark.shape[0], 2, 2)) for c in (self, after)]))
+        return Columns(
+            t=np.concatenate([self.t, after.t]),
+            control_step=np.concatenate([self.control_step, after.control_step + count]),
+            increments=np.concatenate([self.increments, after.increments]),
+            noises=np.concatenate([self.noises, after.noises]),
+            observation_step=np.concatenate([self.observation_step, after.observation_step + count]),
+            landmark=np.concatenate([self.landmark, after.landmark]),
+            z=np.concatenate([self.z, after.z], axis=1),
+            R=R,
+            own=np.concatenate([self.own, after.own]),
+        )
 
 
 @dataclass(frozen=True)
@@ -120,7 +148,13 @@ def _split(columns: Columns, before: float, fresh: Floats, place: Ints, steps: I
 
 
 def _turned(Q: Floats, theta: float) -> Floats:
-    """R Q R^T with R = diag(R(theta), 1)."""
-    c, s = np.cos(theta), np.sin(theta)
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return np.asarray(R @ Q @ R.T)
+    """R Q R^T with R = diag(R(theta), 1), written out: what touches state gives the same bits everywhere."""
+    s, c = sincos(theta)
+    xx, xy, yy, xt, yt = Q[0, 0], Q[0, 1], Q[1, 1], Q[0, 2], Q[1, 2]
+    out = Q.copy()
+    out[0, 0] = c * c * xx - 2.0 * c * s * xy + s * s * yy
+    out[1, 1] = s * s * xx + 2.0 * c * s * xy + c * c * yy
+    out[0, 1] = out[1, 0] = c * s * (xx - yy) + (c * c - s * s) * xy
+    out[0, 2] = out[2, 0] = c * xt - s * yt
+    out[1, 2] = out[2, 1] = s * xt + c * yt
+    return out

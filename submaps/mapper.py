@@ -123,9 +123,8 @@ class Mapper:
         """Note what columns have changed beside the sub-maps; ``before`` is the sub-map that was active."""
         if len(self._robots) > 1:
             self._note_foreign(r, columns.landmark)
-            fresh = r.active.number != before
-            began = int(np.argmax(track_submap == r.active.number)) if fresh else 0
-            r.remember(Segment(columns, began, fresh, r.t), anew=fresh or r.t is None)
+        fresh = r.active.number != before
+        r.remember(columns, int(np.argmax(track_submap == r.active.number)) if fresh else None)
         r.t = float(columns.t[-1])
         self._changed.add(r.name)
 
@@ -256,12 +255,12 @@ class Mapper:
         """Walk the active sub-map again with marks in it; the numbers of those that came too late."""
         s, history = r.active, r.history
         room = max(2 * self.config.max_landmarks - s.landmark_count, 0)
-        good = [mark for mark in marks if history and mark[0] >= history[0].begin][:room]
+        good = [mark for mark in marks if history and any(segment.covers(mark[0]) for segment in history)][:room]
         if history and good:
             fresh = ActiveSubmap(s.number, s.robot, s.began, s.landmark_count + len(good))
             fresh.previous = s.previous
             self._lend_slots(fresh)
-            parts = [(segment, [m for m in good if segment.covers(m[0], i == 0)]) for i, segment in enumerate(history)]
+            parts = [(segment, [m for m in good if segment.covers(m[0])]) for segment in history]
             r.history = [self._walk_again(r, fresh, segment, own) for segment, own in parts]
             r.active = fresh
             self._changed.add(r.name)
@@ -270,18 +269,17 @@ class Mapper:
 
     def _walk_again(self, r: Robot, s: ActiveSubmap, segment: Segment, marks: list[Mark]) -> Segment:
         """Take a segment into a sub-map once more, with marks, and without ending it."""
-        c, step = segment.columns, segment.step
+        c = segment.columns
         if marks:
-            marked = with_marks(c, segment.before, marks)
-            c, step = marked.columns, int(marked.steps[step])
+            c = with_marks(c, segment.before, marks).columns
         m, n, shelf = c.landmark.shape[0], c.t.shape[0], self._shelf
         walk(
-            step, segment.resumed, c.increments, c.noises, c.control_step, c.observation_step, c.landmark, c.z, c.R,
-            c.own, r.endless, r.real, s.x, s.P, s.ids, s.counts, s.motion, self._slot_of, s.scratch,
+            0, False, c.increments, c.noises, c.control_step, c.observation_step, c.landmark, c.z, c.R, c.own,
+            r.endless, r.real, s.x, s.P, s.ids, s.counts, s.motion, self._slot_of, s.scratch,
             np.empty(m), np.empty(m, dtype=np.uint8), np.empty((n, 3)), np.empty(n, dtype=np.int32),
             shelf.whole, shelf.reals, shelf.ids, shelf.fill,
         )  # fmt: skip
-        return Segment(c, step, segment.resumed, segment.before)
+        return Segment(c, segment.before)
 
     # -- what is shared with views -----------------------------------------------------------
 

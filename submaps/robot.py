@@ -19,30 +19,21 @@ from submaps.submap import ActiveSubmap
 
 FLAG_PROBABILITY = 0.9999
 # Steps of an active sub-map that are kept, so that a sighting of the robot that comes late can still be marked.
-KEPT_STEPS = 20_000
+KEPT_STEPS = 5_000
+_LOOSE_SEGMENTS = 32
 
 
 @dataclass(frozen=True)
 class Segment:
-    """Columns that an active sub-map has taken in, from a step on; ``resumed``: without its control.
-
-    ``before`` is the time of the step before the first one.
-    """
+    """Columns that an active sub-map has taken in, and the time of the step before them, if there is one."""
 
     columns: Columns
-    step: int
-    resumed: bool
     before: float | None
 
-    @property
-    def begin(self) -> float:
-        """The time (s) from which on it can be marked: its first step's, or after the one before."""
-        first = self.before is None or self.resumed
-        return float(self.columns.t[self.step]) if first else self.before or 0.0
-
-    def covers(self, t: float, first: bool) -> bool:
-        """Whether a mark at t (s) belongs to it; at the very beginning only to the ``first``."""
-        return t <= float(self.columns.t[-1]) and (t > self.begin or (first and t == self.begin))
+    def covers(self, t: float) -> bool:
+        """Whether a mark at t (s) can be put among them."""
+        first = float(self.columns.t[0]) if self.before is None else self.before
+        return (first < t or (self.before is None and t == first)) and t <= float(self.columns.t[-1])
 
 
 class Robot:
@@ -63,16 +54,19 @@ class Robot:
         self.odom_covariance = np.zeros((3, 3))
         self.closed_counts = np.zeros(3, dtype=np.int64)  # steps, observations, rejected
         self.foreign: set[int] = set()  # landmarks that a robot of another component saw first
-        self.history: list[Segment] | None = None
+        self.history: list[Segment] | None = []
 
-    def remember(self, segment: Segment, anew: bool) -> None:
-        """Keep what the active sub-map has taken in; ``anew`` where it began in this segment."""
-        history = [] if anew else self.history
-        if history is not None:
-            history.append(segment)
-            if sum(s.columns.t.shape[0] - s.step for s in history) > KEPT_STEPS:
-                history = None
-        self.history = history
+    def remember(self, columns: Columns, began: int | None) -> None:
+        """Keep what the active sub-map has taken in; ``began`` is the step of these at which it did, if any."""
+        if began is not None:
+            self.history = [Segment(columns.since(began), None)]
+        elif self.history is not None:
+            self.history.append(Segment(columns, self.t))
+            if len(self.history) > _LOOSE_SEGMENTS:
+                whole = self.history[0].columns
+                for segment in self.history[1:]:
+                    whole = whole.then(segment.columns)
+                self.history = [Segment(whole, self.history[0].before)] if whole.t.shape[0] < KEPT_STEPS else None
 
     def state(self) -> RobotState:
         """What a view tells of it."""

@@ -22,7 +22,8 @@ class World:
 
     ``velocity`` (n, 2) is (v m/s, omega rad/s) over each interval ``dt``; a landmark (m, 2) is seen
     within ``sensor_range`` (m) after every ``observe_every``-th step. Noise is that of one reading:
-    ``velocity_sigma`` (m/s, rad/s), ``observation_sigma`` (m) for x and y alike.
+    ``velocity_sigma`` (m/s, rad/s), ``observation_sigma`` (m) for x and y alike. The first pose is
+    ``start`` (x m, y m, theta rad).
     """
 
     landmarks: Floats
@@ -32,11 +33,12 @@ class World:
     observe_every: int
     velocity_sigma: tuple[float, float]
     observation_sigma: float
+    start: Pose = ORIGIN
 
 
 @dataclass(frozen=True)
 class Run:
-    """One simulated drive: its batch of measurements and its true poses (n, 3), the first at the origin."""
+    """One simulated drive: its batch of measurements and its true poses (n, 3), the first at the start."""
 
     batch: Batch
     poses: Floats
@@ -56,6 +58,23 @@ def circle(laps: float = 1.1, radius: float = 20.0, count: int = 20) -> World:
     return World(landmarks, velocity, 0.1, 4.0, 5, (0.05, float(np.deg2rad(5.0))), 0.25)
 
 
+def two_ways(rng: np.random.Generator, steps: int = 1300, apart: float = 100.0) -> dict[str, Run]:
+    """Two robots that start ``apart`` metres from each other and drive towards and past each other.
+
+    0.5 m/s in gentle bends, dt 0.1 s, 130 landmarks along the way seen within 6 m at every fifth step,
+    sigma 0.05 m/s, 1 deg/s, 0.15 m. Both poses are in one frame, which ``east`` starts at.
+    """
+    along = rng.uniform(-0.1 * apart, 1.2 * apart, 130)
+    landmarks = np.stack([along, rng.uniform(-8.0, 8.0, 130)], axis=1)
+    turn = 0.1 * np.cos(0.02 * np.arange(steps))
+    runs = {}
+    for name, start, sign in (("east", ORIGIN, 1.0), ("west", (apart, 0.0, np.pi), -1.0)):
+        velocity = np.stack([np.full(steps, 0.5), sign * turn], axis=1)
+        world = World(landmarks, velocity, 0.1, 6.0, 5, (0.05, float(np.deg2rad(1.0))), 0.15, start)
+        runs[name] = drive(world, rng)
+    return runs
+
+
 def drive(world: World, rng: np.random.Generator) -> Run:
     """Drive once through a world: exact arcs for truth, noise on velocities and on each sighting.
 
@@ -63,8 +82,8 @@ def drive(world: World, rng: np.random.Generator) -> Run:
     are (v, omega) and its observations Cartesian, both for ``MapConfig`` models of those names.
     """
     steps = world.velocity.shape[0]
-    poses = np.zeros((steps + 1, 3))
-    pose: Pose = ORIGIN
+    poses = np.empty((steps + 1, 3))
+    poses[0] = pose = world.start
     for k, (v, omega) in enumerate(world.velocity):
         pose = compose(pose, exp((v * world.dt, 0.0, omega * world.dt)))
         poses[k + 1] = pose

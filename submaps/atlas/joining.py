@@ -35,8 +35,8 @@ _SETTLED_M = 1e-3
 _CONVERGED_M = 1e-7
 _SETTLING_ITERATIONS = 3
 _MOST_ITERATIONS = 60
-# Rounds of taking ties back; each takes all that stand out, so a few are enough.
-_TIE_ROUNDS = 8
+# Rounds of taking ties back; each takes all that stand out most.
+_TIE_ROUNDS = 20
 
 
 @dataclass
@@ -55,9 +55,9 @@ class _Solver:
         """One that has not solved yet."""
         return cls(component, np.empty(component.pattern.indices.shape[0]), np.empty(component.pattern.size))
 
-    def converge(self) -> None:
-        """Settle the whole, all the way."""
-        self.settle(len(self.component.members), _MOST_ITERATIONS, _CONVERGED_M)
+    def converge(self, tolerance: float) -> None:
+        """Settle the whole until a step is below the tolerance."""
+        self.settle(len(self.component.members), _MOST_ITERATIONS, tolerance)
 
     def settle(self, members: int, most: int, tolerance: float) -> None:
         """Gauss-Newton on the first ``members``; a step that raises the cost is halved."""
@@ -106,6 +106,10 @@ def join(state: AtlasState) -> Solution:
     if state.config.gate is not None:
         components, used = _check_ties(components, solvers, roots)
         iterations += used
+    for solver in solvers.values():
+        before = solver.iterations
+        solver.converge(_CONVERGED_M)
+        iterations += solver.iterations - before
     return _collect(components, solvers, roots, iterations)
 
 
@@ -143,7 +147,7 @@ def _grow(component: Component, last: Solution | None) -> _Solver:
         if f < end - 1 and waiting >= max(_TIES_BEFORE_SETTLING, f // 16):
             solver.settle(f + 1, _SETTLING_ITERATIONS, _SETTLED_M)
             waiting = 0
-    solver.converge()
+    solver.converge(_SETTLED_M)
     return solver
 
 
@@ -183,7 +187,7 @@ def _meet(
         joint.take(mine.component, ORIGIN)
         joint.take(theirs.component, met.transform)
         solver = _Solver.of(joint)
-        solver.converge()
+        solver.converge(_SETTLED_M)
         if solver.cost - mine.cost - theirs.cost <= met.most_cost:
             solvers[a] = solver
             del solvers[b]
@@ -194,18 +198,22 @@ def _meet(
 def _check_ties(components: Components, solvers: dict[int, _Solver], roots: list[int]) -> tuple[Components, int]:
     """Take ties back, or give them, until all that are new agree with the map."""
     bound = chi_square_bound(components.state.config.gate or 1.0, 2)
-    iterations = 0
+    iterations, before = 0, components.untied
     for root, robots in by_root(roots).items():
+        second_chance = True
         for _ in range(_TIE_ROUNDS):
             component = solvers[root].component
             untied = ties.checked(component, _news(component, components.state, robots), components.untied, bound)
+            if untied == components.untied and second_chance:
+                second_chance = False
+                untied = ties.readmitted(component, untied - before, untied, bound)
             if untied == components.untied:
                 break
             components = components.without(untied)
             again = components.of(robots)
             again.take(component, ORIGIN)
             solvers[root] = _Solver.of(again)
-            solvers[root].converge()
+            solvers[root].converge(_SETTLED_M)
             iterations += solvers[root].iterations
     return components, iterations
 

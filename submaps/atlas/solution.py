@@ -20,6 +20,7 @@ from submaps.errors import MeasurementError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Untied = frozenset[tuple[int, int]]
+_NONE = np.empty(0, dtype=np.int32)
 
 
 class Components:
@@ -33,7 +34,7 @@ class Components:
         self.untied: Untied = frozenset(untied)
         self.known = dict(known)
         every = [s.landmarks for s in state.submaps()]
-        self._total = np.bincount(np.concatenate(every), minlength=state.landmark_count)
+        self._total = np.bincount(np.concatenate([*every, _NONE]), minlength=state.landmark_count)
 
     def of(self, robots: Iterable[int]) -> Component:
         """The component of some robots."""

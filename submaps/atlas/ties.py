@@ -25,6 +25,8 @@ Floats = NDArray[np.float64]
 
 # Below this share of its own covariance, what is left of it tells nothing: no other tie holds the landmark.
 _LEAST_REDUNDANCY = 1e-6
+# The share of the worst innovation from which on others are taken to be wrong for reasons of their own.
+_OUTSTANDING = 0.25
 # With more holders than this a newcomer does not outvote them.
 _MOST_VOTERS = 16
 
@@ -89,20 +91,49 @@ def innovations(component: Component, placed: Placed) -> Floats:
 
 
 def checked(component: Component, members: Iterable[int], untied: Untied, bound: float) -> Untied:
-    """``untied`` after the ties of these members were checked: the one that fits worst of each changes sides."""
+    """``untied`` after the ties of these members were checked.
+
+    One that is wrong makes others look so: what stands out far less than the worst waits until that
+    is gone, and so does what shares a sub-map or a landmark with a worse one.
+    """
     inverse = factorised(component).inverse_subset()
-    worst: dict[int, tuple[float, int]] = {}
+    found: list[tuple[float, int, int]] = []
     for f in members:
         shared = component.shared(f)
-        if not shared:
-            continue
-        nis = innovations(component, component.placed(component.members[f].number, inverse))
-        i = int(np.argmax(nis))
-        if nis[i] > bound and nis[i] > worst.get(shared[i], (0.0, 0))[0]:
-            worst[shared[i]] = (float(nis[i]), f)
-    for landmark, (_, f) in sorted(worst.items()):
-        untied = _voted(component, inverse, landmark, f, untied, bound)
+        if shared:
+            nis = innovations(component, component.placed(component.members[f].number, inverse))
+            found += [(float(nis[i]), f, shared[i]) for i in np.flatnonzero(nis > bound)]
+    found.sort(reverse=True)
+    touched: set[tuple[str, int]] = set()
+    for nis_, f, landmark in found:
+        if nis_ < _OUTSTANDING * found[0][0]:
+            break
+        places = {("member", f), ("landmark", landmark)}
+        if not places & touched:
+            untied = _voted(component, inverse, landmark, f, untied, bound)
+        touched |= places
     return untied
+
+
+def readmitted(component: Component, lately: Untied, untied: Untied, bound: float) -> Untied:
+    """``untied`` without those pairs of ``lately`` that agree with the map as it now is."""
+    inverse = factorised(component).inverse_subset()
+    again = set()
+    for number, landmark in sorted(lately & untied):
+        if not component.has(number):
+            continue
+        at, covariance = _as_seen(component, inverse, landmark, component.at(number))
+        others = [
+            k for k, s in enumerate(component.members) if s.holds(landmark) and (s.number, landmark) not in untied
+        ]
+        seen = [_as_seen(component, inverse, landmark, k) for k in others[-_MOST_VOTERS:]]
+        if seen and all(_squared(at - other, covariance + its) <= bound for other, its in seen):
+            again.add((number, landmark))
+    return untied - again
+
+
+def _squared(d: Floats, covariance: Floats) -> float:
+    return float(d @ np.linalg.solve(covariance, d))
 
 
 def _voted(component: Component, inverse: InverseSubset, landmark: int, f: int, untied: Untied, bound: float) -> Untied:
@@ -110,6 +141,8 @@ def _voted(component: Component, inverse: InverseSubset, landmark: int, f: int, 
     holders = [k for k, s in enumerate(component.members) if s.holds(landmark)]
     number = component.members[f].number
     tied = {k for k in holders if (component.members[k].number, landmark) not in untied and k != f}
+    if len(holders) == 2:
+        tied = {holders[0]}  # either way neither has the other any more
     if 2 < len(holders) <= _MOST_VOTERS:
         agreeing = _largest_agreeing(component, inverse, landmark, holders, tied, bound)
         if len(agreeing) > len(tied):
@@ -128,8 +161,7 @@ def _largest_agreeing(
     for at, covariance in seen:
         agreeing = set()
         for k, (other, its) in zip(holders, seen, strict=True):
-            d = other - at
-            if float(d @ np.linalg.solve(covariance + its, d)) <= bound:
+            if _squared(other - at, covariance + its) <= bound:
                 agreeing.add(k)
         if (len(agreeing), len(agreeing & tied)) > (len(best), len(best & tied)):
             best = agreeing

@@ -179,7 +179,8 @@ class Kernel:
         self._slots = np.full(64, -1, dtype=np.int32)
         self._whole = np.array([MODELS[model], int(invariant), 1000, 1], dtype=np.int64)
         c, s = math.cos(mount[2]), math.sin(mount[2])
-        self._real = np.array([mount[0], mount[1], c, s, gate, chi_square_bound(0.9999, 2), math.inf, math.inf, 0, 0, 1, 0])
+        bounds = [gate, chi_square_bound(0.9999, 2), math.inf, math.inf]
+        self._real = np.array([mount[0], mount[1], c, s, *bounds, 0.0, 0.0, 1.0, 0.0])
 
     def set(self, x: Floats, P: Floats) -> None:
         """Start from a state; landmark i lies at entry 3 + 2 i."""
@@ -201,8 +202,9 @@ class Kernel:
             0, False, np.zeros((controls, 3)) + (0.0 if increment is None else increment),
             np.zeros((controls, 3, 3)) + (0.0 if noise is None else noise), np.zeros(controls, dtype=np.int64),
             np.zeros(count, dtype=np.int64), np.array([i for i, _ in sightings], dtype=np.int64), z, R[np.newaxis],
-            np.zeros(count, dtype=np.uint8), self._whole, self._real, s.x, s.P, s.ids, s.counts, s.motion, self._slots, s.scratch,
-            nis, status, np.empty((1, 3)), np.empty(1, dtype=np.int32), shelf.whole, shelf.reals, shelf.ids, shelf.fill,
+            np.zeros(count, dtype=np.uint8), self._whole, self._real, s.x, s.P, s.ids, s.counts, s.motion, self._slots,
+            s.scratch, nis, status, np.empty((1, 3)), np.empty(1, dtype=np.int32),
+            shelf.whole, shelf.reals, shelf.ids, shelf.fill,
         )  # fmt: skip
         assert (event, after) == (DONE, 1)
         return [int(v) for v in status], [float(v) for v in nis]

@@ -40,7 +40,7 @@ def case(request: pytest.FixtureRequest, data_dir: Path) -> Case:
 def joined(case: Case, config: MapConfig) -> NDArray[np.float64]:
     """Landmarks (n, 2) after the whole file, solved whenever a solve was due."""
     mapper = Mapper(config)
-    for batch in case.run.batches():
+    for _, batch in case.run.batches():
         mapper.apply("robot", batch)
         if mapper.solve_due:
             mapper.install(join(mapper.problem()))
