@@ -64,7 +64,7 @@ def turn_about_origin(points: Floats, optimum: Floats, covariances: Floats) -> t
 
 def joined(run: Dataset, config: MapConfig) -> Mapper:
     mapper = Mapper(config)
-    for batch in run.batches():
+    for _, batch in run.batches():
         mapper.apply("robot", batch)
         if mapper.solve_due:
             mapper.install(join(mapper.problem()))

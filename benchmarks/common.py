@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import submaps.batch
+import submaps.least_squares
+import submaps.residuals
 from service.datasets import Dataset
 from submaps.batch import optimum
 from submaps.measurements import Batch
@@ -41,7 +43,9 @@ def verdict(name: str, value: float, limit: float, show: Callable[[float], str] 
 
 def _digest(run: Dataset) -> str:
     columns = run.columns
-    digest = hashlib.sha256(Path(submaps.batch.__file__).read_bytes())
+    digest = hashlib.sha256()
+    for module in (submaps.batch, submaps.residuals, submaps.least_squares):
+        digest.update(Path(str(module.__file__)).read_bytes())
     digest.update(repr((run.motion, run.observation, columns.landmark)).encode())
     for array in _arrays(columns):
         digest.update(array.tobytes())

@@ -38,7 +38,7 @@ ROUNDS = 7
 
 def in_process(run: Dataset) -> float:
     """Observations a second of one map."""
-    batches = list(run.batches())
+    batches = [batch for _, batch in run.batches()]
     mapper = Mapper(MapConfig(run.motion, run.observation))
     began = time.perf_counter()
     for batch in batches:
@@ -91,7 +91,8 @@ def hall(steps: int = 1000) -> Dataset:
     motion, sigma = (0.02, 0.002), 0.05
     world = World(landmarks, np.tile([1.0, 0.2], (steps, 1)), 1.0, 7.0, 1, motion, sigma)
     run = drive(world, rng)
-    return Dataset("hall", MotionConfig("velocity", motion), ObservationConfig("cartesian", (sigma, sigma)), run.batch)
+    sensor = ObservationConfig("cartesian", (sigma, sigma))
+    return Dataset.single("hall", MotionConfig("velocity", motion), sensor, run.batch)
 
 
 def main() -> None:
@@ -106,7 +107,7 @@ def main() -> None:
 def measure(run: Dataset, maps: int, clients: int) -> None:
     bodies = [
         orjson.dumps(columns(k, batch), option=orjson.OPT_SERIALIZE_NUMPY)
-        for k, batch in enumerate(run.batches(), start=1)
+        for k, (_, batch) in enumerate(run.batches(), start=1)
     ]
     size = sum(map(len, bodies)) / run.columns.observations
     steps = run.columns.steps / run.columns.observations

@@ -83,7 +83,7 @@ def isam2(run: Dataset, params: gtsam.ISAM2Params) -> Cost:
 
 def sub_maps(run: Dataset, max_observations: int = 1000) -> Cost:
     """Default settings; ``updates`` is the time in ``apply``, ``everything`` adds every solve."""
-    batches = list(run.batches(max_observations))
+    batches = [batch for _, batch in run.batches(max_observations)]
     mapper = Mapper(MapConfig(run.motion, run.observation))
     updates = solves = 0.0
     for batch in batches:

@@ -16,6 +16,7 @@ from service.problems import Problem, not_found
 from service.runtime import Configured, Measured, Solved
 from service.store.base import BatchEvent, Derived, Journal, Outcome, RobotEvent, SolveEvent
 from service.store.encoding import unpack
+from submaps.atlas.solution import Solution
 from submaps.atlas.state import AtlasState
 from submaps.config import RobotConfig
 from submaps.measurements import Batch
@@ -42,10 +43,10 @@ def apply_robot(hosted: Hosted, event: RobotEvent, own: RobotConfig) -> None:
     hosted.runtime.apply(Configured(event.position, event.robot, own))
 
 
-def apply_solve(hosted: Hosted, event: SolveEvent) -> Solve:
-    """Apply a solve, and return what is told of it."""
-    _, columns = unpack("solve", event.data)
-    hosted.runtime.apply(Solved(event.position, event.base, event.problem_digest, columns))
+def apply_solve(hosted: Hosted, event: SolveEvent, solution: Solution | None = None) -> Solve:
+    """Apply a solve, from its ``solution`` where it was made here, and return what is told of it."""
+    columns = unpack("solve", event.data)[1] if solution is None else solution.columns()
+    hosted.runtime.apply(Solved(event.position, event.base, event.problem_digest, columns, solution))
     return Solve(event.number, hosted.runtime.version, event.seconds, event.iterations, event.cost)
 
 
@@ -133,7 +134,7 @@ class Applier:
             return hosted.stopped()
         try:
             if isinstance(pending, PendingSolve):
-                return apply_solve(hosted, pending.event)
+                return apply_solve(hosted, pending.event, pending.solution)
             if isinstance(pending, PendingRobot):
                 return apply_robot(hosted, pending.event, pending.own)
             derived = apply_batch(hosted, pending.event, pending.batch)

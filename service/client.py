@@ -8,10 +8,11 @@ from typing import Any
 from urllib.parse import quote
 
 import httpx
+import numpy as np
 import orjson
 
 from submaps.config import MapConfig
-from submaps.measurements import Batch
+from submaps.measurements import Batch, as_encounter
 
 COLUMNS = "application/vnd.submaps.columns+json"
 _PATIENCE = httpx.Timeout(600.0, connect=5.0)  # a solve of a large map is waited for
@@ -50,6 +51,14 @@ class Client:
 
     def request(self, method: str, path: str, body: Any = None, *, type_: str = "application/json") -> Any:
         """Send a request; return the decoded answer."""
+        answer = self._send(method, path, body, type_)
+        return orjson.loads(answer.content) if answer.content else None
+
+    def text(self, path: str) -> str:
+        """Get an answer that is plain text."""
+        return self._send("GET", path, None, "").text
+
+    def _send(self, method: str, path: str, body: Any, type_: str) -> httpx.Response:
         content = None if body is None else orjson.dumps(body, option=orjson.OPT_SERIALIZE_NUMPY)
         headers = {} if body is None else {"content-type": type_}
         try:
@@ -64,7 +73,7 @@ class Client:
             ) from None
         if answer.is_error:
             raise _refused(answer, f"{method} {path}")
-        return orjson.loads(answer.content) if answer.content else None
+        return answer
 
     def pages(self, path: str, name: str, **query: str) -> Iterator[dict[str, Any]]:
         """Entries of a list, page after page."""
@@ -78,20 +87,51 @@ class Client:
                 return
 
     def create_map(self, name: str, config: MapConfig) -> None:
-        """Create a map for a run's models; all else is the service's default."""
-        motion = {"model": config.motion.model, "sigma": config.motion.sigma}
-        seen = config.observation
-        observation = {"model": seen.model, "sigma": seen.sigma, "mount": seen.mount}
-        self.request("POST", "/v1/maps", {"id": name, "motion": motion, "observation": observation})
+        """Create a map with a run's settings, all of them."""
+        self.request("POST", "/v1/maps", {"id": name, **settings(config)})
+
+    def robots(self, map_: str) -> list[dict[str, Any]]:
+        """What the service says of each robot of a map."""
+        return list(self.pages(f"{path_of(map_)}/robots", "robots"))
+
+    def landmarks(self, map_: str) -> list[dict[str, Any]]:
+        """The landmarks that have a place in ``map``."""
+        return list(self.pages(f"{path_of(map_)}/landmarks", "landmarks", frame="map"))
 
     def measure(self, map_: str, robot: str, sequence: int, batch: Batch) -> Any:
         """Send one batch as columns; return its acknowledgement."""
-        path = f"/v1/maps/{quote(map_, safe='')}/robots/{quote(robot, safe='')}/measurements"
+        path = f"{path_of(map_, robot)}/measurements"
         return self.request("POST", path, columns(sequence, batch), type_=COLUMNS)
 
     def optimize(self, map_: str) -> Any:
         """Solve the map's atlas and wait for it."""
-        return self.request("POST", f"/v1/maps/{quote(map_, safe='')}/optimize?wait=true", {"refine": False})
+        return self.request("POST", f"{path_of(map_)}/optimize?wait=true", {"refine": False})
+
+
+def path_of(map_: str, robot: str | None = None) -> str:
+    """The path of a map, or of one of its robots."""
+    path = f"/v1/maps/{quote(map_, safe='')}"
+    return path if robot is None else f"{path}/robots/{quote(robot, safe='')}"
+
+
+def settings(config: MapConfig) -> dict[str, Any]:
+    """The settings of a map as a body says them."""
+    motion, seen = config.motion, config.observation
+    vehicle: dict[str, Any] = {} if motion.wheelbase is None else {"wheelbase": motion.wheelbase}
+    if motion.encoder_offset:
+        vehicle["encoder_offset"] = motion.encoder_offset
+    return {
+        "motion": {"model": motion.model, "sigma": motion.sigma, "noise": motion.noise, **vehicle},
+        "observation": {"model": seen.model, "sigma": seen.sigma, "mount": seen.mount},
+        "filter": config.filter,
+        "association": {"method": "known", "gate": config.gate},
+        "submap": {
+            "max_landmarks": config.max_landmarks,
+            "max_heading_sigma": config.max_heading_sigma,
+            "max_position_sigma": config.max_position_sigma,
+            "min_observed_steps": config.min_observed_steps,
+        },
+    }
 
 
 def columns(sequence: int, batch: Batch) -> dict[str, Any]:
@@ -103,10 +143,22 @@ def columns(sequence: int, batch: Batch) -> dict[str, Any]:
             body["control_step"] = batch.control_step
         if batch.control_covariance is not None:
             body["control_covariance"] = batch.control_covariance
-    if batch.observations:
-        body["observation"] = {"step": batch.observation_step, "landmark": batch.landmark, "z": batch.z}
-        if batch.observation_covariance is not None:
-            body["observation"]["covariance"] = batch.observation_covariance
+    met = [as_encounter(name) for name in batch.landmark]
+    landmarks = [i for i, one in enumerate(met) if one is None]
+    if landmarks:
+        body["observation"] = _readings(batch, landmarks, "landmark", [batch.landmark[i] for i in landmarks])
+    if len(landmarks) < batch.observations:
+        others = [i for i, one in enumerate(met) if one is not None]
+        body["encounter"] = _readings(batch, others, "robot", [one[0] for one in met if one is not None])
+    return body
+
+
+def _readings(batch: Batch, rows: list[int], of: str, names: list[str]) -> dict[str, Any]:
+    """Some of a batch's observations, each of something that has a name."""
+    z = np.ascontiguousarray(batch.z[:, rows])
+    body: dict[str, Any] = {"step": batch.observation_step[rows], of: names, "z": z}
+    if batch.observation_covariance is not None:
+        body["covariance"] = batch.observation_covariance[rows]
     return body
 
 

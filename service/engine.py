@@ -241,7 +241,7 @@ class Engine:
             hosted.key, hosted.position, base, number, solved.problem_digest, pack("solve", solution.columns()),
             solved.seconds, solution.iterations, solution.cost,
         )  # fmt: skip
-        pending = PendingSolve(hosted, event, self._loop.create_future())
+        pending = PendingSolve(hosted, event, solution, self._loop.create_future())
         self.journal.append(event, pending)
         return await pending.done
 

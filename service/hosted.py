@@ -10,6 +10,7 @@ from service.problems import Problem, not_found
 from service.runtime import Runtime
 from service.store.base import BatchEvent, RobotEvent, SolveEvent
 from service.wire.columns import Decoded
+from submaps.atlas.solution import Solution
 from submaps.atlas.view import View
 from submaps.config import MapConfig, Models, RobotConfig, Start
 from submaps.measurements import Batch
@@ -150,6 +151,7 @@ class PendingSolve:
 
     hosted: Hosted
     event: SolveEvent
+    solution: Solution
     done: asyncio.Future[Solve]
 
 

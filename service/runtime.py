@@ -37,12 +37,17 @@ class Configured:
 
 @dataclass(frozen=True)
 class Solved:
-    """A solve of the problem captured after event ``base`` found ``columns``."""
+    """A solve of the problem captured after event ``base`` found ``columns``.
+
+    ``solution`` is what was solved, where it was solved here: the same values, with the covariances
+    that were derived from them already.
+    """
 
     position: int
     base: int
     problem_digest: bytes
     columns: Mapping[str, NDArray[Any]]
+    solution: Solution | None = None
 
 
 MapEvent = Measured | Configured | Solved
@@ -104,7 +109,6 @@ class Runtime:
             raise DigestMismatch(f"the solve at {event.position} started from {event.base}, but {base} was captured")
         if problem.digest() != event.problem_digest:
             raise DigestMismatch(f"the solve at {event.position} was computed from another state of {event.base}")
-        # Live and replayed alike go through the recorded columns, so both reach the same bits.
-        self._mapper.install(Solution.from_columns(problem, event.columns))
+        self._mapper.install(event.solution or Solution.from_columns(problem, event.columns))
         self._captured = None
         self.version = self.view().version

@@ -130,6 +130,7 @@ def _timed(problem: AtlasState) -> Solved:
     began = time.perf_counter()
     problem_digest = problem.digest()
     solution = join(problem)
+    solution.prepare()
     return Solved(solution, problem_digest, time.perf_counter() - began)
 
 

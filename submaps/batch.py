@@ -13,14 +13,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import qdldl
 import scipy.sparse as sparse
 from numpy.typing import NDArray
 
+from submaps import residuals
 from submaps.config import MotionConfig, ObservationConfig
-from submaps.errors import NumericalError
+from submaps.least_squares import Linearised, minimise
 from submaps.measurements import Batch
 from submaps.motion.increments import increments
+from submaps.residuals import information_root, rotated, to_body
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -28,8 +29,6 @@ Progress = Callable[[int, int], None]
 
 CHUNK = 250  # poses that enter at a time; from 30 to 1 000 Victoria Park ends at the same optimum
 _ROUGH, _FINE = 1e-4, 1e-13  # relative decrease of the cost that ends a chunk, and the whole
-_MAX_ITERATIONS = 100
-_LEAST_NOISE = np.diag([1e-8, 1e-8, 1e-10])  # (1e-4 m)², (1e-5 rad)²: an arc without slip is singular
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ def optimum(
     while stop < problem.poses or iterations == 0:
         start, stop = stop, min(stop + chunk, problem.poses)
         problem.extend(state, start, stop)
-        chi2, used = _minimise(problem, state, stop, _FINE if stop == problem.poses else _ROUGH)
+        chi2, used = _settle(problem, state, stop, _FINE if stop == problem.poses else _ROUGH)
         iterations += used
         if progress is not None:
             progress(stop, problem.poses)
@@ -105,11 +104,11 @@ class _Problem:
             z_noise = np.broadcast_to(np.diag(np.square(observation.sigma)), (batch.observations, 2, 2))
         return _Problem(
             increment=increment,
-            increment_root=_information_root(noise),
+            increment_root=information_root(noise),
             pose=pose_of_step[batch.observation_step],
             landmark=landmark,
             z=np.ascontiguousarray(batch.z.T),
-            z_root=_information_root(z_noise),
+            z_root=information_root(z_noise),
             known=np.maximum.accumulate(landmark) + 1,
             observation=observation,
             ids=tuple(numbers),
@@ -137,52 +136,26 @@ class _Problem:
         numbers, where = np.unique(self.landmark[rows], return_index=True)
         rows = rows[where[numbers >= before]]
         pose = state.poses[self.pose[rows]]
-        body = _to_body(self.observation, self.z[rows])
-        state.landmarks[self.landmark[rows]] = pose[:, :2] + _rotate(pose[:, 2], body)
+        body = to_body(self.observation, self.z[rows])
+        state.landmarks[self.landmark[rows]] = pose[:, :2] + rotated(pose[:, 2], body)
 
 
-def _minimise(problem: _Problem, state: _State, stop: int, tolerance: float) -> tuple[float, int]:
+def _settle(problem: _Problem, state: _State, stop: int, tolerance: float) -> tuple[float, int]:
     """Bring the poses before ``stop`` and their landmarks to the least cost; changes ``state``."""
     free = 3 * (stop - 1)
-    damping = 0.0
-    residual, jacobian = _linearise(problem, state, stop)
-    cost = float(residual @ residual)
-    for iteration in range(1, _MAX_ITERATIONS + 1):
-        hessian, gradient = (jacobian.T @ jacobian).tocsc(), jacobian.T @ residual
-        step = _solve(hessian, gradient, damping)
-        trial = _State(state.poses.copy(), state.landmarks.copy())
-        trial.poses[1:stop] -= step[:free].reshape(-1, 3)
-        trial.landmarks[: (len(step) - free) // 2] -= step[free:].reshape(-1, 2)
-        residual_there, jacobian_there = _linearise(problem, trial, stop)
-        cost_there = float(residual_there @ residual_there)
-        gained = cost - cost_there
-        settled = abs(gained) <= tolerance * cost + 1e-12
-        if gained >= 0.0:
-            state.poses, state.landmarks = trial.poses, trial.landmarks
-            residual, jacobian, cost = residual_there, jacobian_there, cost_there
-            damping = 0.0 if damping < 1e-8 else damping / 10.0
-        else:
-            damping = max(10.0 * damping, 1e-6)
-        if settled:
-            return cost, iteration
-    raise NumericalError(f"the batch optimum was not reached in {_MAX_ITERATIONS} iterations, cost {cost:.6g}")
+
+    def moved(at: _State, step: Floats) -> _State:
+        there = _State(at.poses.copy(), at.landmarks.copy())
+        there.poses[1:stop] -= step[:free].reshape(-1, 3)
+        there.landmarks[: (len(step) - free) // 2] -= step[free:].reshape(-1, 2)
+        return there
+
+    best, cost, iterations = minimise(lambda at: _linearise(problem, at, stop), moved, state, tolerance)
+    state.poses, state.landmarks = best.poses, best.landmarks
+    return cost, iterations
 
 
-def _solve(hessian: sparse.csc_matrix, gradient: Floats, damping: float) -> Floats:
-    if damping:
-        hessian = (hessian + damping * sparse.diags(hessian.diagonal())).tocsc()
-    if gradient.shape[0] == 0:
-        return gradient
-    try:
-        step: Floats = qdldl.Solver(hessian).solve(gradient)
-    except (RuntimeError, ValueError) as error:
-        raise NumericalError(f"the batch problem is not determined: {error}") from error
-    if not np.all(np.isfinite(step)):
-        raise NumericalError("the batch problem is not determined: its solution is not finite")
-    return step
-
-
-def _linearise(problem: _Problem, state: _State, stop: int) -> tuple[Floats, sparse.csc_matrix]:
+def _linearise(problem: _Problem, state: _State, stop: int) -> Linearised:
     """Whitened residuals of the poses before ``stop`` and their Jacobian, the origin's columns left out."""
     moved, moved_by = _motion_rows(problem, state, stop)
     seen, seen_by = _observation_rows(problem, state, stop)
@@ -201,80 +174,18 @@ def _linearise(problem: _Problem, state: _State, stop: int) -> tuple[Floats, spa
     values = np.concatenate([moved_by.ravel(), seen_by.ravel()])
     residual = np.concatenate([moved.ravel(), seen.ravel()])
     shape = (residual.shape[0], 3 * stop + 2 * known)
-    return residual, sparse.csr_matrix((values, columns, starts), shape=shape).tocsc()[:, 3:]
+    jacobian = sparse.csr_matrix((values, columns, starts), shape=shape).tocsc()[:, 3:]
+    return Linearised(float(residual @ residual), residual, jacobian)
 
 
 def _motion_rows(problem: _Problem, state: _State, stop: int) -> tuple[Floats, Floats]:
     """Residuals (c, 3) and their derivatives (c, 3, 6) by the poses before and after."""
-    pose = state.poses[:stop]
-    c, s = np.cos(pose[:-1, 2]), np.sin(pose[:-1, 2])
-    body = _rotate(-pose[:-1, 2], pose[1:, :2] - pose[:-1, :2])
-    residual = np.column_stack([body, pose[1:, 2] - pose[:-1, 2]]) - problem.increment[: stop - 1]
-    residual[:, 2] = _wrap(residual[:, 2])
-    by = np.zeros((stop - 1, 3, 6))
-    by[:, 0, 3], by[:, 0, 4], by[:, 1, 3], by[:, 1, 4], by[:, 2, 5] = c, s, -s, c, 1.0
-    by[:, :, :2] = -by[:, :, 3:5]
-    by[:, 0, 2], by[:, 1, 2], by[:, 2, 2] = body[:, 1], -body[:, 0], -1.0
-    root = problem.increment_root[: stop - 1]
-    return np.einsum("nij,nj->ni", root, residual), root @ by
+    pose, moves = state.poses[:stop], slice(stop - 1)
+    return residuals.moved(pose[:-1], pose[1:], problem.increment[moves], problem.increment_root[moves])
 
 
 def _observation_rows(problem: _Problem, state: _State, stop: int) -> tuple[Floats, Floats]:
     """Residuals (m, 2) and their derivatives (m, 2, 5) by pose and landmark."""
-    count = problem.observed(stop)
-    pose = state.poses[problem.pose[:count]]
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    body = _rotate(-pose[:, 2], state.landmarks[problem.landmark[:count]] - pose[:, :2])
-    by = np.zeros((count, 2, 5))
-    by[:, 0, 3], by[:, 0, 4], by[:, 1, 3], by[:, 1, 4] = c, s, -s, c
-    by[:, :, :2] = -by[:, :, 3:]
-    by[:, 0, 2], by[:, 1, 2] = body[:, 1], -body[:, 0]
-    predicted, by_body = _predict(problem.observation, body)
-    residual = predicted - problem.z[:count]
-    if problem.observation.model == "range_bearing":
-        residual[:, 1] = _wrap(residual[:, 1])
-    root = problem.z_root[:count]
-    return np.einsum("nij,nj->ni", root, residual), root @ by_body @ by
-
-
-def _predict(observation: ObservationConfig, body: Floats) -> tuple[Floats, Floats]:
-    """Readings h(y) (m, 2) of body-frame points, and dh/dy (m, 2, 2)."""
-    x, y, angle = observation.mount
-    sensor = _rotate(-angle, body - (x, y))
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    if observation.model == "cartesian":
-        return sensor, np.broadcast_to(turn, (body.shape[0], 2, 2))
-    distance = np.hypot(sensor[:, 0], sensor[:, 1])
-    along = sensor / distance[:, None]
-    across = np.column_stack([-along[:, 1], along[:, 0]]) / distance[:, None]
-    reading = np.column_stack([distance, np.arctan2(sensor[:, 1], sensor[:, 0])])
-    return reading, np.stack([along, across], axis=1) @ turn
-
-
-def _to_body(observation: ObservationConfig, z: Floats) -> Floats:
-    """The body-frame points (m, 2) that readings show."""
-    x, y, angle = observation.mount
-    if observation.model == "range_bearing":
-        z = z[:, :1] * np.column_stack([np.cos(z[:, 1]), np.sin(z[:, 1])])
-    point: Floats = _rotate(angle, z) + np.array([x, y])
-    return point
-
-
-def _information_root(covariance: Floats) -> Floats:
-    """W with Wᵀ W the inverse of each covariance."""
-    try:
-        root = np.linalg.cholesky(covariance)
-    except np.linalg.LinAlgError:
-        root = np.linalg.cholesky(covariance + _LEAST_NOISE[: covariance.shape[1], : covariance.shape[1]])
-    inverse: Floats = np.linalg.inv(root)
-    return inverse
-
-
-def _rotate(angle: Floats | float, points: Floats) -> Floats:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.column_stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]])
-
-
-def _wrap(angle: Floats) -> Floats:
-    wrapped: Floats = np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
-    return wrapped
+    rows = slice(problem.observed(stop))
+    pose, point = state.poses[problem.pose[rows]], state.landmarks[problem.landmark[rows]]
+    return residuals.seen(pose, point, problem.observation, problem.z[rows], problem.z_root[rows])

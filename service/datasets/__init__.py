@@ -4,19 +4,27 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from service.datasets.dataset import Dataset, DatasetError
+from service.datasets.dataset import Dataset, DatasetError, Truth
+from service.datasets.g2o import is_g2o, read_g2o
 from service.datasets.isam import read_isam
+from service.datasets.mrclam import is_mrclam, read_mrclam
 from service.datasets.victoria_park import SOURCE as VICTORIA_PARK
 from service.datasets.victoria_park import read_victoria_park
 
-__all__ = ["VICTORIA_PARK", "Dataset", "DatasetError", "read_source"]
+__all__ = ["SOURCES", "VICTORIA_PARK", "Dataset", "DatasetError", "Truth", "read_source"]
+
+SOURCES = f"an iSAM or g2o text file, an MRCLAM folder, or {VICTORIA_PARK}"
 
 
 def read_source(source: str) -> Dataset:
-    """Read a data set by its name (``victoria-park``) or its path (an iSAM text file)."""
+    """Read a data set by its name (``victoria-park``) or its path: a file of iSAM's or g2o's, an MRCLAM folder."""
     if source == VICTORIA_PARK:
         return read_victoria_park()
     path = Path(source)
     if not path.exists():
-        raise DatasetError(f"{source}: no such file; give the path of an iSAM text file, or {VICTORIA_PARK}")
-    return read_isam(path)
+        raise DatasetError(f"{source}: no such file; give {SOURCES}")
+    if path.is_dir():
+        if not is_mrclam(path):
+            raise DatasetError(f"{source}: a folder without Barcodes.dat; give {SOURCES}")
+        return read_mrclam(path)
+    return read_g2o(path) if is_g2o(path) else read_isam(path)

@@ -13,22 +13,16 @@ from a pose belong to its step, after the motion that led there, wherever their 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from service.datasets.dataset import Dataset, DatasetError
+from service.datasets.lines import BadLine, LineNoise, NoiseForm, finite, number, opened
 from submaps.config import MotionConfig, ObservationConfig
 from submaps.measurements import Batch
-
-NoiseForm = Literal["sqrt_information", "covariance"]
-Floats = NDArray[np.float64]
-Number = TypeVar("Number", int, float)
 
 STEP_SECONDS = 1.0
 _MOTIONS = ("ODOMETRY", "EDGE2")
@@ -40,83 +34,32 @@ _LAYOUT = {
 
 def read_isam(path: Path, *, noise: NoiseForm = "sqrt_information", name: str | None = None) -> Dataset:
     """Read one file; raises ``DatasetError``, naming the line, if any line is not as expected."""
-    try:
-        with path.open(encoding="utf-8") as lines:
-            return parse_isam(lines, noise=noise, name=name or path.stem, source=str(path))
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise DatasetError(f"{path}: not a text file (no UTF-8 at byte {error.start})") from error
+    with opened(path) as lines:
+        return parse_isam(lines, noise=noise, name=name or path.stem, source=str(path))
 
 
 def parse_isam(lines: Iterable[str], *, noise: NoiseForm, name: str, source: str) -> Dataset:
     """Parse lines of the format; ``source`` is what the errors call the file."""
-    run = _Run(_Noise(noise, 3), _Noise(noise, 2))
-    for number, line in enumerate(lines, start=1):
+    run = _Run(LineNoise(noise, 3), LineNoise(noise, 2))
+    for k, line in enumerate(lines, start=1):
         fields = line.split()
         if not fields or fields[0].startswith("#"):
             continue
         try:
             run.read(fields)
-        except _BadLine as error:
-            raise DatasetError(f"{source}:{number}: {error}") from None
+        except BadLine as error:
+            raise DatasetError(f"{source}:{k}: {error}") from None
     if not run.controls or not run.seen:
         raise DatasetError(f"{source}: expected ODOMETRY (or EDGE2) and LANDMARK lines, found no such line of one kind")
     return run.dataset(name)
-
-
-class _BadLine(Exception):
-    """What is wrong with a line."""
-
-
-class _Noise:
-    """Covariances of one kind of line, each distinct triangle turned into a matrix once."""
-
-    def __init__(self, form: NoiseForm, size: int) -> None:
-        self.form = form
-        self.size = size
-        self.rows: list[int] = []
-        self.known: dict[tuple[float, ...], int] = {}
-        self.matrices: list[Floats] = []
-
-    def add(self, triangle: tuple[float, ...]) -> None:
-        if triangle not in self.known:
-            self.matrices.append(self._covariance(triangle))
-            self.known[triangle] = len(self.matrices) - 1
-        self.rows.append(self.known[triangle])
-
-    def sigma(self) -> tuple[float, ...]:
-        return tuple(float(s) for s in np.sqrt(np.diagonal(self.matrices[0])))
-
-    def covariances(self, order: Iterable[int]) -> Floats | None:
-        """One matrix a row, or ``None`` where ``sigma`` says it all."""
-        first = self.matrices[0]
-        if len(self.matrices) == 1 and np.array_equal(first, np.diag(np.diagonal(first))):
-            return None
-        return np.stack(self.matrices)[[self.rows[i] for i in order]]
-
-    def _covariance(self, triangle: tuple[float, ...]) -> Floats:
-        upper = np.zeros((self.size, self.size))
-        upper[np.triu_indices(self.size)] = triangle
-        if self.form == "covariance":
-            return self._checked(upper + np.triu(upper, 1).T)
-        if np.any(np.diagonal(upper) == 0.0):
-            raise _BadLine("the square-root information has a zero on its diagonal")
-        inverse = np.linalg.inv(upper)
-        return self._checked(inverse @ inverse.T)
-
-    def _checked(self, covariance: Floats) -> Floats:
-        if not np.all(np.isfinite(covariance)) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
-            raise _BadLine(f"the noise is no positive definite {self.form.replace('_', ' ')}")
-        return covariance
 
 
 @dataclass
 class _Run:
     """What has been read so far."""
 
-    motion_noise: _Noise
-    observation_noise: _Noise
+    motion_noise: LineNoise
+    observation_noise: LineNoise
     step_of_pose: dict[int, int] = field(default_factory=dict)
     controls: list[tuple[float, ...]] = field(default_factory=list)
     seen: list[tuple[int, str]] = field(default_factory=list)
@@ -129,14 +72,14 @@ class _Run:
         elif fields[0] == "LANDMARK":
             self._observation(fields)
         else:
-            raise _BadLine(f"expected ODOMETRY, EDGE2 or LANDMARK, got {fields[0]!r}")
+            raise BadLine(f"expected ODOMETRY, EDGE2 or LANDMARK, got {fields[0]!r}")
 
     def _motion(self, fields: list[str]) -> None:
         numbers = _numbers(fields, 3)
-        before, after = _number(fields[1], int, "a pose id"), _number(fields[2], int, "a pose id")
+        before, after = number(fields[1], int, "a pose id"), number(fields[2], int, "a pose id")
         self._begin(before)
         if before != self.last_pose or after in self.step_of_pose:
-            raise _BadLine(
+            raise BadLine(
                 f"expected an edge from pose {self.last_pose}, the last one, to a new pose, got {before} to {after}"
             )
         self.motion_noise.add(numbers[3:])
@@ -146,10 +89,10 @@ class _Run:
 
     def _observation(self, fields: list[str]) -> None:
         numbers = _numbers(fields, 2)
-        pose = _number(fields[1], int, "a pose id")
+        pose = number(fields[1], int, "a pose id")
         self._begin(pose)
         if pose not in self.step_of_pose:
-            raise _BadLine(f"expected the id of a pose that an earlier line leads to, got {pose}")
+            raise BadLine(f"expected the id of a pose that an earlier line leads to, got {pose}")
         self.observation_noise.add(numbers[2:])
         self.seen.append((self.step_of_pose[pose], fields[2]))
         self.z.append(numbers[:2])
@@ -175,22 +118,12 @@ class _Run:
         )
         motion = MotionConfig("odometry", self.motion_noise.sigma())
         observation = ObservationConfig("cartesian", self.observation_noise.sigma())
-        return Dataset(name, motion, observation, columns)
+        return Dataset.single(name, motion, observation, columns)
 
 
 def _numbers(fields: list[str], size: int) -> tuple[float, ...]:
     expected = 3 + size + size * (size + 1) // 2
     if len(fields) != expected:
         layout = _LAYOUT[size]
-        raise _BadLine(f"{fields[0]} takes {expected} fields ({layout}), got {len(fields)}")
-    return tuple(_number(text, float, "a finite number") for text in fields[3:])
-
-
-def _number(text: str, kind: type[Number], expected: str) -> Number:
-    try:
-        value = kind(text)
-    except ValueError:
-        raise _BadLine(f"expected {expected}, got {text!r}") from None
-    if not math.isfinite(value):
-        raise _BadLine(f"expected {expected}, got {text!r}")
-    return value
+        raise BadLine(f"{fields[0]} takes {expected} fields ({layout}), got {len(fields)}")
+    return finite(fields[3:])

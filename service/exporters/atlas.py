@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.client import Client, Refused
+from service.client import Client, Refused, path_of
+from submaps.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Track:
-    """A robot's filtered poses (n, 3) in ``map`` (m, m, rad), and the sub-map (n,) of each."""
+    """A robot's filtered poses in ``map``, and the sub-map (n,) of each."""
 
     robot: str
-    pose: Floats
+    trajectory: Trajectory
     submap: NDArray[np.int64]
 
 
@@ -41,18 +41,11 @@ class Atlas:
 
 def read_atlas(client: Client, map_: str) -> Atlas:
     """Read a map from a service; raises what the client raises."""
-    path = f"/v1/maps/{quote(map_, safe='')}"
+    path = path_of(map_)
     counts = client.request("GET", path)["counts"]
-    tracks, unconnected = [], []
-    for robot in client.pages(f"{path}/robots", "robots"):
-        try:
-            tracks.append(_track(client, path, robot["id"]))
-        except Refused as refusal:
-            if refusal.status != 409:
-                raise
-            unconnected.append(robot["id"])
+    tracks, unconnected = read_tracks(client, map_)
     poses = [one["pose"] for one in client.pages(f"{path}/submaps", "submaps") if one["pose"]]
-    landmarks = list(client.pages(f"{path}/landmarks", "landmarks", frame="map"))
+    landmarks = client.landmarks(map_)
     return Atlas(
         name=map_,
         counts=counts,
@@ -64,11 +57,21 @@ def read_atlas(client: Client, map_: str) -> Atlas:
     )
 
 
-def _track(client: Client, path: str, robot: str) -> Track:
-    answer = client.request("GET", f"{path}/robots/{quote(robot, safe='')}/trajectory?frame=map")
-    poses = answer["poses"]
-    return Track(
-        robot=robot,
-        pose=np.array([[p["x"], p["y"], p["theta"]] for p in poses]).reshape(-1, 3),
-        submap=np.array([p["submap"] for p in poses], dtype=np.int64),
-    )
+def read_tracks(client: Client, map_: str) -> tuple[list[Track], list[str]]:
+    """Where each robot has been in ``map``, and the robots that have no place there yet."""
+    tracks, unconnected = [], []
+    for robot in client.robots(map_):
+        try:
+            tracks.append(_track(client, map_, robot["id"]))
+        except Refused as refusal:
+            if refusal.status != 409:
+                raise
+            unconnected.append(robot["id"])
+    return tracks, unconnected
+
+
+def _track(client: Client, map_: str, robot: str) -> Track:
+    poses = client.request("GET", f"{path_of(map_, robot)}/trajectory?frame=map")["poses"]
+    t = np.array([p["t"] for p in poses], dtype=np.float64)
+    pose = np.array([[p["x"], p["y"], p["theta"]] for p in poses]).reshape(-1, 3)
+    return Track(robot, Trajectory(t, pose), np.array([p["submap"] for p in poses], dtype=np.int64))

@@ -20,6 +20,9 @@ TREE = "#1b7f4b"
 FORWARD, LEFT = "#c8372d", "#2f6fb3"  # a frame's x and y axes
 # Neighbouring sub-maps differ in hue; none is that of a landmark.
 SUBMAPS = ("#e0912f", "#7a5ea8", "#3b8fb5", "#c25b86", "#8c7a3d", "#5b6bb8")
+# Where there are several robots each has one hue; more than there are hues share them.
+ROBOTS = ("#e0912f", "#3b6fc4", "#b0418f", "#7a6a2c", "#11a0a8", "#6b4bb0", "#d0574a", "#4d4d4d")
+_MOST_NAMED = 12
 _WIDTH, _DPI = 10.0, 160
 
 
@@ -31,8 +34,8 @@ def draw(atlas: Atlas, path: Path) -> None:
     figure = Figure(figsize=(_WIDTH, height + 1.3), dpi=_DPI, facecolor=PAPER, layout="constrained")
     axes = figure.add_subplot()
     reach = float(span.max())
-    for track in atlas.tracks:
-        _draw_track(axes, track)
+    for k, track in enumerate(atlas.tracks):
+        _draw_track(axes, track, None if len(atlas.tracks) == 1 else ROBOTS[k % len(ROBOTS)])
     crowd = np.clip(100.0 / max(len(atlas.frames), 1), 0.6, 1.0)  # many frames: shorter strokes
     _draw_frames(axes, atlas.frames, 0.016 * reach * float(crowd))
     _draw_landmarks(axes, atlas)
@@ -48,7 +51,8 @@ def ellipses(covariances: Floats, sigmas: float) -> tuple[Floats, Floats, Floats
 
 
 def _extent(atlas: Atlas) -> tuple[Floats, Floats]:
-    points = np.vstack([atlas.landmarks, atlas.frames[:, :2], *(track.pose[:, :2] for track in atlas.tracks)])
+    ways = [track.trajectory.poses[:, :2] for track in atlas.tracks]
+    points = np.vstack([atlas.landmarks, atlas.frames[:, :2], *ways])
     if not points.size:
         return np.array([-1.0, -1.0]), np.array([1.0, 1.0])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -56,15 +60,16 @@ def _extent(atlas: Atlas) -> tuple[Floats, Floats]:
     return low - margin, high + margin
 
 
-def _draw_track(axes: Axes, track: Track) -> None:
-    if len(track.pose) < 2:
+def _draw_track(axes: Axes, track: Track, hue: str | None) -> None:
+    """A trajectory in a robot's hue, or in one for each sub-map."""
+    points = track.trajectory.poses[:, :2]
+    if len(points) < 2:
         return
-    points = track.pose[:, :2]
     pieces = np.stack([points[:-1], points[1:]], axis=1)
-    hues = [SUBMAPS[k % len(SUBMAPS)] for k in track.submap[1:].tolist()]
-    axes.add_collection(LineCollection(list(pieces), colors=hues, linewidths=1.3, zorder=2))
-    axes.plot(*points[0], marker="o", ms=7, mfc=PAPER, mec=INK, mew=1.6, zorder=6)
-    axes.plot(*points[-1], marker="s", ms=7, mfc=INK, mec=PAPER, mew=1.2, zorder=6)
+    hues = [hue or SUBMAPS[k % len(SUBMAPS)] for k in track.submap[1:].tolist()]
+    axes.add_collection(LineCollection(list(pieces), colors=hues, linewidths=1.3 if hue is None else 0.8, zorder=2))
+    axes.plot(*points[0], marker="o", ms=7, mfc=PAPER, mec=hue or INK, mew=1.6, zorder=6)
+    axes.plot(*points[-1], marker="s", ms=7, mfc=hue or INK, mec=PAPER, mew=1.2, zorder=6)
 
 
 def _draw_frames(axes: Axes, frames: Floats, length: float) -> None:
@@ -105,12 +110,24 @@ def _dress(axes: Axes, atlas: Atlas, low: Floats, high: Floats) -> None:
     _legend(axes, atlas)
 
 
+def _robots(atlas: Atlas) -> list[Line2D]:
+    """What the hues of the trajectories mean."""
+    if len(atlas.tracks) < 2:
+        return [Line2D([], [], color=SUBMAPS[0], lw=1.6, label="trajectory, one hue a sub-map")]
+    named = [
+        Line2D([], [], color=ROBOTS[k % len(ROBOTS)], lw=1.6, label=track.robot)
+        for k, track in enumerate(atlas.tracks[:_MOST_NAMED])
+    ]
+    more = len(atlas.tracks) - _MOST_NAMED
+    return named + ([Line2D([], [], lw=0, label=f"and {more} more robots")] if more > 0 else [])
+
+
 def _legend(axes: Axes, atlas: Atlas) -> None:
     size = ""
     if len(atlas.landmarks):
         size = f" (median half-axis {np.median(ellipses(atlas.covariances, 2.0)[0]) / 2:.2g} m)"
     entries = [
-        Line2D([], [], color=SUBMAPS[0], lw=1.6, label="trajectory, one hue a sub-map"),
+        *_robots(atlas),
         Line2D([], [], color=FORWARD, lw=1.6, label="sub-map frame: x"),
         Line2D([], [], color=LEFT, lw=1.6, label="sub-map frame: y"),
         Line2D(

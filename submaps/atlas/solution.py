@@ -170,6 +170,13 @@ class Solution:
                 self._placed[number] = self.component(root).placed(number, self.inverse(root))
             return self._placed[number]
 
+    def prepare(self) -> None:
+        """Derive now what the next queries would wait for: covariances, and the robots' places."""
+        for root in sorted(set(self.roots)):
+            self.inverse(root)
+        for number in self.base.active:
+            self.placed(number)
+
     def inverse(self, root: int) -> InverseSubset:
         """Joint covariances of a component's variables, where they share a factor."""
         with self._lock:
