@@ -14,8 +14,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from submaps.atlas.estimates import PoseEstimate
 from submaps.atlas.joining import join
-from submaps.atlas.view import PoseEstimate
 from submaps.config import FilterName, MapConfig, MotionConfig, ObservationConfig
 from submaps.consistency import average_bounds, nees
 from submaps.mapper import Mapper

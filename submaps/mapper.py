@@ -20,7 +20,8 @@ from submaps.encounters import Columns, Mark, one_each, with_marks
 from submaps.filtering import kernel, layout
 from submaps.filtering.closing import Shelf
 from submaps.filtering.walk import walk
-from submaps.measurements import Batch, Floats, Ints, Rejection, Report, as_encounter
+from submaps.landmarks import LandmarkTable
+from submaps.measurements import Batch, Floats, Ints, Rejection, Report
 from submaps.motion.increments import dead_reckon, increments
 from submaps.robot import Robot, Segment
 from submaps.submap import ActiveSubmap, Submap
@@ -51,12 +52,10 @@ class Mapper:
         self._configured: dict[str, RobotConfig] = {}
         self._robots: dict[str, Robot] = {}
         self._roots = np.empty(0, dtype=np.int64)
-        self._slot_of, self._last_seen, self._seen_first = np.full((3, 16), -1, dtype=np.int32)
-        self._slots_of: ActiveSubmap | None = None
-        self._encounters = 0
         self._shelf = Shelf(_SHELF_SUBMAPS, _SHELF_REALS)
         self._marks: dict[str, list[Mark]] = {}  # of robots that have not come so far yet
         self._state = AtlasState.empty(config)
+        self._landmarks = LandmarkTable(self._state.names, self._state.number_of, self._state.sightings)
         self._changed: set[str] = set()
 
     def configure(self, robot: str, own: RobotConfig) -> None:
@@ -66,7 +65,7 @@ class Mapper:
     def apply(self, robot: str, batch: Batch) -> Report:
         """Take in an admitted batch of one robot's measurements; never fails on its content."""
         r = self._robots.get(robot) or self._new_robot(robot, float(batch.t[0]))
-        landmark, met = self._intern(batch.landmark)
+        landmark, met = self._landmarks.intern(batch.landmark)
         columns, track_odom = _prepared(r, batch, landmark)
         late = self._announce(met)
         marks = self._due_marks(robot, float(batch.t[-1]))
@@ -101,10 +100,10 @@ class Mapper:
         event, step, resumed = layout.GENESIS, 0, False
         while event != layout.DONE:
             s, begin, shelf = r.active, step, self._shelf
-            self._lend_slots(s)
+            self._landmarks.lend_slots(s)
             event, step = walk(
                 step, resumed, c.increments, c.noises, c.control_step, c.observation_step, c.landmark, c.z, c.R, c.own,
-                r.whole, r.real, s.x, s.P, s.ids, s.counts, s.motion, self._slot_of, s.scratch,
+                r.whole, r.real, s.x, s.P, s.ids, s.counts, s.motion, self._landmarks.slot_of, s.scratch,
                 nis, status, track, chapter, shelf.whole, shelf.reals, shelf.ids, shelf.fill,
             )  # fmt: skip
             numbers = [s.number]
@@ -142,22 +141,20 @@ class Mapper:
 
     def install(self, solution: Solution) -> None:
         """Publish a solve: queries in ``map`` refer to it from now on."""
-        count = len(solution.roots)
-        since = self._roots[count:]
-        self._roots = np.array(
-            [*solution.roots, *(solution.roots[r] if r < count else r for r in since)], dtype=np.int64
-        )
-        last = self._state.solution
-        same = last is not None and last.roots == solution.roots[: len(last.roots)] and last.untied == solution.untied
-        settled = self._state.settled if same else {}  # what follows from closed sub-maps alone, and from these
-        self._state = replace(self._state, solution=solution, version=self._state.version + 1, settled=settled)
+        state, roots = self._state, solution.roots
+        since = [roots[r] if r < len(roots) else r for r in self._roots[len(roots) :].tolist()]
+        self._roots = np.array([*roots, *since], dtype=np.int64)
+        untied = frozenset() if state.solution is None else state.solution.untied
+        # Edges are kept once their sub-maps are closed, as long as the same ties hold.
+        settled = state.settled if roots == state.roots[: len(roots)] and untied == solution.untied else {}
+        self._state = replace(state, solution=solution, version=state.version + 1, settled=settled)
 
     # -- robots, landmarks, sub-maps ---------------------------------------------------------
 
     def _new_robot(self, name: str, t: float) -> Robot:
         number = len(self._robots)
         if number == 1:
-            self._seen_first[: len(self._state.names)] = 0
+            self._landmarks.all_seen_by(0)
         capacity = min(self.config.max_landmarks, _FIRST_CAPACITY)
         own = self._configured.get(name) or RobotConfig(self.config.motion, self.config.observation)
         robot = Robot(number, name, self.config, own, ActiveSubmap(self._next_number(), number, t, capacity))
@@ -182,53 +179,17 @@ class Mapper:
 
     def _file(self, r: Robot, closed: Submap) -> None:
         """Put a sub-map that has closed among the records."""
-        state = self._state
-        state.records[closed.number] = closed
+        self._state.records[closed.number] = closed
         self._closed_bytes += closed.nbytes
         r.closed_counts += (closed.steps, closed.observations, closed.rejected)
-        held = closed.landmarks.tolist()
-        for landmark in held:
-            state.sightings[landmark].append(closed.number)
-        seen = self._last_seen[held].tolist()
-        self._last_seen[held] = closed.number
         self._pending += 1
-        ties_to_older = any(k not in (-1, closed.previous) for k in seen)
-        self.solve_due |= ties_to_older or self._pending >= PENDING_EXTENSIONS
+        self.solve_due |= self._landmarks.file(closed) or self._pending >= PENDING_EXTENSIONS
 
     def _note_foreign(self, r: Robot, landmark: Ints) -> None:
         """Ask for a solve where the robot sees landmarks that another component's robots saw first."""
-        first = self._seen_first[landmark]
-        self._seen_first[landmark[first < 0]] = r.number
-        foreign = (first >= 0) & (self._roots[first] != self._roots[r.number])
-        if foreign.any():
-            before = len(r.foreign)
-            r.foreign.update(landmark[foreign].tolist())
-            self.solve_due |= len(r.foreign) > max(before, 1)
-
-    def _intern(self, names: tuple[str, ...]) -> tuple[Ints, list[tuple[str, float, int]]]:
-        """The map's numbers of landmark names, new names the next ones; new encounters (robot, t, number)."""
-        state = self._state
-        number_of = state.number_of
-        met = []
-        try:
-            return np.array([number_of[name] for name in names], dtype=np.int64), []
-        except KeyError:
-            for name in names:
-                if name not in number_of:
-                    number = len(number_of)
-                    encounter = as_encounter(name)
-                    if encounter is not None:
-                        met.append((*encounter, number))
-                    state.names.append(name)
-                    state.sightings.append([])
-                    number_of[name] = number
-        self._encounters += len(met)
-        if len(number_of) > self._slot_of.shape[0]:
-            more = np.full(max(self._slot_of.shape[0], len(number_of) - self._slot_of.shape[0]), -1, dtype=np.int32)
-            self._slot_of = np.concatenate([self._slot_of, more])
-            self._last_seen = np.concatenate([self._last_seen, more])
-            self._seen_first = np.concatenate([self._seen_first, more])
-        return np.array([number_of[name] for name in names], dtype=np.int64), met
+        before = len(r.foreign)
+        r.foreign.update(self._landmarks.foreign(landmark, r.number, self._roots))
+        self.solve_due |= len(r.foreign) > max(before, 1)
 
     # -- robots that see one another ---------------------------------------------------------
 
@@ -259,7 +220,7 @@ class Mapper:
         if history and good:
             fresh = ActiveSubmap(s.number, s.robot, s.began, s.landmark_count + len(good))
             fresh.previous = s.previous
-            self._lend_slots(fresh)
+            self._landmarks.lend_slots(fresh)
             parts = [(segment, [m for m in good if segment.covers(m[0])]) for segment in history]
             r.history = [self._walk_again(r, fresh, segment, own) for segment, own in parts]
             r.active = fresh
@@ -275,23 +236,13 @@ class Mapper:
         m, n, shelf = c.landmark.shape[0], c.t.shape[0], self._shelf
         walk(
             0, False, c.increments, c.noises, c.control_step, c.observation_step, c.landmark, c.z, c.R, c.own,
-            r.endless, r.real, s.x, s.P, s.ids, s.counts, s.motion, self._slot_of, s.scratch,
+            r.endless, r.real, s.x, s.P, s.ids, s.counts, s.motion, self._landmarks.slot_of, s.scratch,
             np.empty(m), np.empty(m, dtype=np.uint8), np.empty((n, 3)), np.empty(n, dtype=np.int32),
             shelf.whole, shelf.reals, shelf.ids, shelf.fill,
         )  # fmt: skip
         return Segment(c, segment.before)
 
     # -- what is shared with views -----------------------------------------------------------
-
-    def _lend_slots(self, submap: ActiveSubmap) -> None:
-        """Make the table from landmarks to slots speak of this sub-map."""
-        if self._slots_of is submap:
-            return
-        if self._slots_of is not None:
-            self._slot_of[self._slots_of.ids[: self._slots_of.landmark_count]] = -1
-        held = submap.landmark_count
-        self._slot_of[submap.ids[:held]] = 3 + 2 * np.arange(held, dtype=np.int32)
-        self._slots_of = submap
 
     def _publish(self) -> None:
         if not self._changed and self._state.submap_count == len(self._state.records):
@@ -306,7 +257,8 @@ class Mapper:
         self._changed.clear()
         self._state = replace(
             self._state, active=active, robots=robots, submap_count=len(self._state.records),
-            landmark_count=len(self._state.names), closed_bytes=self._closed_bytes, encounter_count=self._encounters,
+            landmark_count=len(self._state.names), encounter_count=self._landmarks.encounters,
+            closed_bytes=self._closed_bytes,
         )  # fmt: skip
 
 

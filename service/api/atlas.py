@@ -20,7 +20,7 @@ from service.api.common import (
     problems,
 )
 from service.wire.answers import Graph, SubmapDetail, SubmapList, TransformAnswer
-from submaps.atlas.view import SubmapState
+from submaps.atlas.estimates import SubmapState
 from submaps.measurements import as_encounter
 
 router = APIRouter(prefix="/v1/maps/{map}", tags=["atlas"])

@@ -22,7 +22,7 @@ from service.api.common import (
 from service.problems import invalid
 from service.wire.answers import LandmarkAnswer, LandmarkList
 from service.wire.base import MAP_FRAME
-from submaps.atlas.view import LandmarkEstimate
+from submaps.atlas.estimates import LandmarkEstimate
 
 router = APIRouter(prefix="/v1/maps/{map}/landmarks", tags=["landmarks"])
 

@@ -22,7 +22,7 @@ FORWARD, LEFT = "#c8372d", "#2f6fb3"  # a frame's x and y axes
 SUBMAPS = ("#e0912f", "#7a5ea8", "#3b8fb5", "#c25b86", "#8c7a3d", "#5b6bb8")
 # Where there are several robots each has one hue; more than there are hues share them.
 ROBOTS = ("#e0912f", "#3b6fc4", "#b0418f", "#7a6a2c", "#11a0a8", "#6b4bb0", "#d0574a", "#4d4d4d")
-_MOST_NAMED = 12
+_MOST_NAMED, _MOST_FRAMES = 12, 300
 _WIDTH, _DPI = 10.0, 160
 
 
@@ -31,15 +31,19 @@ def draw(atlas: Atlas, path: Path) -> None:
     low, high = _extent(atlas)
     span = np.maximum(high - low, 1.0)
     height = float(np.clip(_WIDTH * span[1] / span[0], 5.0, 13.0))
-    figure = Figure(figsize=(_WIDTH, height + 1.3), dpi=_DPI, facecolor=PAPER, layout="constrained")
+    entries = _legend_entries(atlas)
+    room = 1.3 + 0.25 * max(-(-len(entries) // 3) - 2, 0)  # for the title and the legend
+    figure = Figure(figsize=(_WIDTH, height + room), dpi=_DPI, facecolor=PAPER, layout="constrained")
     axes = figure.add_subplot()
     reach = float(span.max())
     for k, track in enumerate(atlas.tracks):
         _draw_track(axes, track, None if len(atlas.tracks) == 1 else ROBOTS[k % len(ROBOTS)])
-    crowd = np.clip(100.0 / max(len(atlas.frames), 1), 0.6, 1.0)  # many frames: shorter strokes
-    _draw_frames(axes, atlas.frames, 0.016 * reach * float(crowd))
+    frames = atlas.frames[:: _frames_apart(atlas)]
+    crowd = np.clip(100.0 / max(len(frames), 1), 0.6, 1.0)  # many frames: shorter strokes
+    _draw_frames(axes, frames, 0.016 * reach * float(crowd))
     _draw_landmarks(axes, atlas)
     _dress(axes, atlas, low, high)
+    _add_legend(axes, entries)
     figure.savefig(path)
 
 
@@ -48,6 +52,11 @@ def ellipses(covariances: Floats, sigmas: float) -> tuple[Floats, Floats, Floats
     values, vectors = np.linalg.eigh(covariances)
     axes = 2.0 * sigmas * np.sqrt(np.maximum(values, 0.0))
     return axes[:, 1], axes[:, 0], np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
+
+
+def _frames_apart(atlas: Atlas) -> int:
+    """Of so many frames one is drawn: more than some hundreds would hide the trajectories."""
+    return max(-(-len(atlas.frames) // _MOST_FRAMES), 1)
 
 
 def _extent(atlas: Atlas) -> tuple[Floats, Floats]:
@@ -107,7 +116,6 @@ def _dress(axes: Axes, atlas: Atlas, low: Floats, high: Floats) -> None:
         told.append(f"not connected yet: {', '.join(atlas.unconnected)}")
     axes.set_title(atlas.name, loc="left", color=INK, fontsize=15, fontweight="bold", pad=26)
     axes.text(0.0, 1.012, "   ".join(told), transform=axes.transAxes, color=FAINT, fontsize=9.5, va="bottom")
-    _legend(axes, atlas)
 
 
 def _robots(atlas: Atlas) -> list[Line2D]:
@@ -122,20 +130,25 @@ def _robots(atlas: Atlas) -> list[Line2D]:
     return named + ([Line2D([], [], lw=0, label=f"and {more} more robots")] if more > 0 else [])
 
 
-def _legend(axes: Axes, atlas: Atlas) -> None:
+def _legend_entries(atlas: Atlas) -> list[Line2D]:
     size = ""
     if len(atlas.landmarks):
         size = f" (median half-axis {np.median(ellipses(atlas.covariances, 2.0)[0]) / 2:.2g} m)"
-    entries = [
+    apart = _frames_apart(atlas)
+    some = "" if apart == 1 else f" (one in {apart})"
+    return [
         *_robots(atlas),
-        Line2D([], [], color=FORWARD, lw=1.6, label="sub-map frame: x"),
-        Line2D([], [], color=LEFT, lw=1.6, label="sub-map frame: y"),
+        Line2D([], [], color=FORWARD, lw=1.6, label=f"sub-map frame{some}: x"),
+        Line2D([], [], color=LEFT, lw=1.6, label=f"sub-map frame{some}: y"),
         Line2D(
             [], [], ls="", marker="o", ms=9, mfc=TREE + "38", mec=TREE, mew=0.9, label=f"landmark, 2σ ellipse{size}"
         ),
         Line2D([], [], ls="", marker="o", ms=6, mfc=PAPER, mec=INK, mew=1.5, label="first pose"),
         Line2D([], [], ls="", marker="s", ms=6, mfc=INK, mec=PAPER, label="last pose"),
     ]
+
+
+def _add_legend(axes: Axes, entries: list[Line2D]) -> None:
     axes.legend(
         handles=entries,
         loc="upper center",

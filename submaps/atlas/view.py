@@ -5,11 +5,11 @@ from __future__ import annotations
 import itertools
 import threading
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from submaps.atlas.estimates import LandmarkEstimate, PoseEstimate, SubmapState
 from submaps.atlas.front import Front, advance, condition
 from submaps.atlas.graph import Edge, Graph
 from submaps.atlas.placed import Placed, additive_covariance, as_pose, rotation
@@ -22,49 +22,6 @@ from submaps.submap import Submap
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 _J = np.array([[0.0, -1.0], [1.0, 0.0]])
-
-
-@dataclass(frozen=True)
-class PoseEstimate:
-    """A pose (x m, y m, theta rad) in a frame, with the (3, 3) covariance of its additive errors."""
-
-    frame: str
-    t: float
-    x: float
-    y: float
-    theta: float
-    covariance: Floats
-    kind: str
-    submap: int
-    map_T_odom: Pose | None = None
-
-
-@dataclass(frozen=True)
-class LandmarkEstimate:
-    """A landmark's position (m) in a frame, with its (2, 2) covariance and the sub-maps that hold it."""
-
-    id: str
-    x: float
-    y: float
-    covariance: Floats
-    submaps: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class SubmapState:
-    """What the atlas says of one sub-map; ``pose`` is its frame in ``map``, ``None`` if not connected."""
-
-    id: int
-    robot: str
-    active: bool
-    pose: Pose | None
-    covariance: Floats | None
-    landmarks: int
-    steps: int
-    observations: int
-    nis: float | None
-    began: float
-    ended: float | None
 
 
 class View:
