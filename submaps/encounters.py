@@ -41,11 +41,17 @@ class Columns:
     R: Floats
     own: NDArray[np.uint8]
 
+    @property
+    def each(self) -> Floats:
+        """Covariance (m, 2, 2) of each observation."""
+        count = self.landmark.shape[0]
+        return np.broadcast_to(self.R, (count, 2, 2)) if self.R.shape[0] == 1 else self.R[:count]
+
     def only(self, keep: NDArray[np.bool_]) -> Columns:
         """The same with some of the observations."""
         return replace(
             self, observation_step=self.observation_step[keep], landmark=self.landmark[keep],
-            z=np.ascontiguousarray(self.z[:, keep]), R=self.R if self.R.shape[0] == 1 else one_each(self.R[keep]),
+            z=np.ascontiguousarray(self.z[:, keep]), R=self.R if self.R.shape[0] == 1 else one_each(self.each[keep]),
             own=self.own[keep],
         )  # fmt: skip
 
@@ -63,7 +69,7 @@ class Columns:
         count = self.t.shape[0]
         R = self.R
         if R.shape[0] != 1 or after.R is not R:
-            R = one_each(np.concatenate([np.broadcast_to(c.R, (c.landmark.shape[0], 2, 2)) for c in (self, after)]))
+            R = one_each(np.concatenate([self.each, after.each]))
         return Columns(
             t=np.concatenate([self.t, after.t]),
             control_step=np.concatenate([self.control_step, after.control_step + count]),
@@ -104,7 +110,6 @@ def with_marks(columns: Columns, before: float | None, marks: Sequence[Mark]) ->
     where = np.searchsorted(whole_t, times, side="right") - 1
     good = (where >= 0) & (whole_t[np.maximum(where, 0)] == times)
     count, added = columns.observation_step.shape[0], int(np.count_nonzero(good))
-    R = columns.R if columns.R.shape[0] != 1 else np.repeat(columns.R, count, axis=0)
     step = np.concatenate([steps[columns.observation_step], where[good]])
     order = np.argsort(step, kind="stable")
     observations = np.empty(count + added, dtype=np.int64)
@@ -114,7 +119,7 @@ def with_marks(columns: Columns, before: float | None, marks: Sequence[Mark]) ->
         t=whole_t, control_step=control_step, increments=increments, noises=noises, observation_step=step[order],
         landmark=np.concatenate([columns.landmark, numbers])[order],
         z=np.ascontiguousarray(np.concatenate([columns.z, np.zeros((2, added))], axis=1)[:, order]),
-        R=one_each(np.concatenate([R, np.repeat(_MARK_COVARIANCE[np.newaxis], added, axis=0)])[order]),
+        R=one_each(np.concatenate([columns.each, np.repeat(_MARK_COVARIANCE[np.newaxis], added, axis=0)])[order]),
         own=np.concatenate([columns.own, np.where(np.isin(times[good], fresh), 2, 1).astype(np.uint8)])[order],
     )  # fmt: skip
     return Marked(marked, steps, observations[:count])

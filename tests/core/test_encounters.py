@@ -199,3 +199,21 @@ def test_a_sighting_of_a_robot_that_never_comes_ties_nothing() -> None:
     view = mapper.view()
     assert [one.id for one in view.landmarks()[0]] == ["q"]
     assert view.counts()["landmarks"] == 1
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 1000), st.integers(0, 3), st.booleans())
+def test_columns_cut_and_joined_keep_what_each_says(seed: int, step: int, each: bool) -> None:
+    c = columns(seed)
+    if each:
+        c = replace(c, R=np.random.default_rng(seed).normal(size=(5, 2, 2)))
+    later = c.since(step)
+    assert later.t.tolist() == c.t[step:].tolist()
+    assert later.control_step.tolist() == list(range(1, 4 - step))
+    assert np.array_equal(later.each, c.each[c.observation_step >= step])
+    one = later.only(np.arange(later.landmark.shape[0]) == 0)
+    both = one.then(later)
+    assert np.array_equal(both.each, np.concatenate([one.each, later.each]))
+    assert np.array_equal(both.landmark, np.concatenate([one.landmark, later.landmark]))
+    marked = with_marks(one, None, [(float(one.t[-1]), 99)])
+    assert np.array_equal(marked.columns.each[marked.observations], one.each)
