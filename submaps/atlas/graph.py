@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import heapq
 import itertools
+from collections import Counter
 from dataclasses import dataclass
+from itertools import chain
 from typing import Literal
 
 import networkx as nx
@@ -59,39 +61,43 @@ class Graph:
         self._near: dict[int, list[Pair]] = {}
         self._own: dict[Pair, Edge] = {}
         self._settled: dict[Pair, Edge] = state.settled.setdefault("edges", {})
-        self._settled_older: dict[int, list[Pair]] = state.settled.setdefault("older", {})
         self._untied = frozenset() if state.solution is None else state.solution.untied
         self._starts = {r.first: origin_of(state, r.start) for r in state.fleet if r.start is not None}
+
+    def edge_count(self) -> int:
+        """How many edges there are; those of closed sub-maps are counted once."""
+        degrees: dict[int, int] = self._state.settled.setdefault("degrees", {})
+        total = 0
+        for k in range(self._state.submap_count):
+            degree = degrees.get(k)
+            if degree is None:
+                degree = len(self._older(k))
+                if k < self._first_active:
+                    degrees[k] = degree
+            total += degree
+        return total
 
     def pairs(self) -> list[Pair]:
         """(kind, a, b) of every edge, by the younger of its two sub-maps."""
         if self._pairs is None:
-            self._pairs = list(itertools.chain.from_iterable(self._older(k) for k in range(self._state.submap_count)))
+            self._pairs = list(chain.from_iterable(self._older(k) for k in range(self._state.submap_count)))
         return self._pairs
 
     def _older(self, number: int) -> list[Pair]:
-        """Edges from a sub-map to older ones: its exit edge, then its ties."""
-        if number in self._settled_older:
-            return self._settled_older[number]
+        """Edges from a sub-map to older ones: its exit edge, its start, then its ties."""
         submap = self._state.submap(number)
         found: list[Pair] = [("exit", submap.previous, number)] if submap.previous >= 0 else []
         if self._starts.get(number, number) != number:
             found.append(("start", self._starts[number], number))
-        found += [("tie", k, number) for k in self._tied(number) if k < number]
-        if number < self._first_active:
-            self._settled_older[number] = found
-        return found
+        return found + [("tie", k, number) for k in self._tied(number) if k < number]
 
     def _tied(self, number: int) -> list[int]:
         """Sub-maps of the same component that hold at least two landmarks in common with this one."""
-        state, untied = self._state, self._untied
+        state = self._state
         submap = state.submap(number)
-        common: dict[int, int] = {}
-        for landmark in submap.landmarks.tolist():
-            if (number, landmark) in untied:
-                continue
-            for k in state.submaps_with(landmark):
-                common[k] = common.get(k, 0) + ((k, landmark) not in untied)
+        held = [i for i in submap.landmarks.tolist() if (number, i) not in self._untied]
+        common = Counter(chain.from_iterable(map(state.submaps_with, held)))
+        common.subtract(k for k, i in self._untied if i in held)
         root = state.roots[submap.robot]
         several = (k for k, n in common.items() if n >= 2 and k != number)
         return sorted(k for k in several if state.roots[state.submap(k).robot] == root)

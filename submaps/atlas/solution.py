@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +94,7 @@ class Solution:
         self.cost = cost
         self.roots = roots
         self.untied = untied
+        self.settled: dict[str, Any] = {}  # what views have derived from it and from closed sub-maps
         self._lock = threading.RLock()
         self._components = components or {}
         self._inverses: dict[int, InverseSubset] = {}

@@ -55,7 +55,7 @@ class View:
             "rejected": sum(r.rejected for r in robots),
             "landmarks": self.state.landmark_count - self.state.encounter_count,
             "submaps": self.state.submap_count,
-            "edges": len(self.graph.pairs()),
+            "edges": self.graph.edge_count(),
             "bytes": self.state.closed_bytes + sum(s.nbytes for s in self.state.active.values()),
         }
 
@@ -81,18 +81,28 @@ class View:
     def _front(self, submap: Submap) -> Front:
         """What the solution and the sub-maps since say of this sub-map's frame and landmarks."""
         solution = self.state.solution
+        # What closed sub-maps leave to closed ones after them is the same for every later view.
+        known = (self.state.settled if solution is None else solution.settled).setdefault("fronts", {})
         at, since = submap, [submap]
-        while at.previous >= 0 and (solution is None or at.number >= solution.base.submap_count):
+        while at.number not in known and at.previous >= 0 and not self._solved(at):
             at = self.state.submap(at.previous)
             since.append(at)
-        if solution is None or at.number >= solution.base.submap_count:
-            front = self._first_front(at)
-        else:
+        if at.number in known:
+            front: Front = known[at.number]
+        elif solution is not None and self._solved(at):
             rooted = at.previous < 0 and solution.roots[at.robot] == at.robot
             front = Front.of_solution(solution.placed(at.number), rooted and self.state.fleet[at.robot].start is None)
+        else:
+            front = self._first_front(at)
         for before, after in itertools.pairwise(reversed(since)):
             front = advance(front, before, after)
+            if not after.active:
+                known[after.number] = front
         return front
+
+    def _solved(self, submap: Submap) -> bool:
+        solution = self.state.solution
+        return solution is not None and submap.number < solution.base.submap_count
 
     def _first_front(self, submap: Submap) -> Front:
         """That of a robot's first sub-map which no solve has seen."""

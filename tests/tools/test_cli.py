@@ -17,7 +17,7 @@ import httpx
 import numpy as np
 import pytest
 
-from service.cli import FAULT, INPUT, REFUSED, UNREACHABLE
+from service.commands.console import FAULT, INPUT, REFUSED, UNREACHABLE
 from service.standalone import LISTENING, own_service
 
 STEPS = 40
@@ -72,7 +72,7 @@ def free_port() -> int:
 def test_help_names_the_commands_and_the_exit_codes() -> None:
     answer = submaps("--help")
     assert answer.returncode == 0
-    for word in ("serve", "replay", "plot", "Exit codes"):
+    for word in ("serve", "replay", "plot", "export", "evaluate", "Exit codes"):
         assert word in answer.stdout
 
 

@@ -9,7 +9,9 @@ import pytest
 
 from service.datasets import VICTORIA_PARK, Dataset, DatasetError, read_source
 from service.datasets.dataset import cut
-from service.datasets.isam import NoiseForm, parse_isam
+from service.datasets.isam import parse_isam, read_isam
+from service.datasets.lines import NoiseForm
+from tests.tools.fleet import LANDMARKS, dataset, drive
 
 CHAIN = [
     "ODOMETRY 0 1 1.0 0 0.1 100 0 0 500 0 250",
@@ -113,8 +115,10 @@ def test_a_missing_file_says_what_can_be_given(tmp_path: Path) -> None:
 
 def test_a_folder_and_a_file_that_is_no_text_are_refused(tmp_path: Path) -> None:
     (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(DatasetError, match="cannot be read"):
+    with pytest.raises(DatasetError, match=r"a folder without Barcodes\.dat"):
         read_source(str(tmp_path))
+    with pytest.raises(DatasetError, match="cannot be read"):
+        read_isam(tmp_path)
     with pytest.raises(DatasetError, match="not a text file"):
         read_source(str(tmp_path / "binary.txt"))
 
@@ -122,7 +126,7 @@ def test_a_folder_and_a_file_that_is_no_text_are_refused(tmp_path: Path) -> None
 @pytest.mark.parametrize(("observations", "steps"), [(1, 10), (2, 10), (1000, 1), (1000, 2), (1000, 10)])
 def test_batches_hold_the_run_in_order_within_their_bounds(observations: int, steps: int) -> None:
     run = parse([*CHAIN, "LANDMARK 2 8 1 1 4 0 4"])
-    parts = list(run.batches(observations, steps))
+    parts = [part for _, part in run.batches(observations, steps)]
     assert np.concatenate([part.t for part in parts]).tolist() == run.columns.t.tolist()
     assert np.concatenate([part.z for part in parts], axis=1).tolist() == run.columns.z.tolist()
     assert sum((part.landmark for part in parts), ()) == run.columns.landmark
@@ -156,3 +160,30 @@ def test_the_copy_in_gtsam_has_the_same_numbers(data_dir: Path) -> None:
     np.testing.assert_array_equal(shipped.columns.control, park.columns.control)
     assert shipped.columns.landmark == park.columns.landmark
     assert shipped.observation.sigma == pytest.approx(park.observation.sigma, rel=1e-6)
+
+
+def test_a_run_of_one_robot_is_not_cut_by_time() -> None:
+    run = dataset(drive(0.0))
+    alone = Dataset(run.name, run.config, {"ann": run.robots["ann"]})
+    assert [robot for robot, _ in alone.batches(window=1.0)] == ["ann"]
+    assert alone.columns is run.robots["ann"]
+    with pytest.raises(ValueError, match="too many values"):
+        _ = run.columns
+
+
+@pytest.mark.parametrize(("observations", "window"), [(1000, 10.0), (1000, 3.7), (5, 10.0), (1000, 1e9)])
+def test_robots_take_turns_in_the_order_in_which_their_batches_end(observations: int, window: float) -> None:
+    run = dataset(drive(0.0))
+    parts = list(run.batches(observations, window=window))
+    ends = [float(part.t[-1]) for _, part in parts]
+    assert ends == sorted(ends)
+    for _, part in parts:
+        assert np.floor(part.t[0] / window) == np.floor(part.t[-1] / window)
+        assert part.observations <= max(observations, len(LANDMARKS) + 1)
+    for robot, whole in run.robots.items():
+        own = [part for name, part in parts if name == robot]
+        assert np.concatenate([part.t for part in own]).tolist() == whole.t.tolist()
+        assert sum((part.landmark for part in own), ()) == whole.landmark
+        assert np.concatenate([part.control for part in own], axis=1).tolist() == whole.control.tolist()
+    assert run.steps == sum(part.steps for _, part in parts)
+    assert run.observations == sum(part.observations for _, part in parts)

@@ -9,6 +9,7 @@ import pytest
 
 from service.exporters.atlas import Atlas, Track
 from service.exporters.picture import draw, ellipses
+from submaps.trajectory import Trajectory
 
 
 def test_an_ellipse_holds_the_points_at_its_mahalanobis_distance() -> None:
@@ -23,18 +24,19 @@ def test_an_ellipse_holds_the_points_at_its_mahalanobis_distance() -> None:
     assert tip @ np.linalg.solve(covariance, tip) == pytest.approx(4.0)
 
 
-@pytest.mark.parametrize("poses", [0, 1, 30])
-def test_maps_of_any_size_are_drawn(poses: int, tmp_path: Path) -> None:
-    track = Track("r1", np.cumsum(np.ones((poses, 3)), axis=0), np.arange(poses) // 10)
+@pytest.mark.parametrize(("poses", "robots"), [(0, 1), (1, 1), (30, 1), (30, 3), (700, 20)])
+def test_maps_of_any_size_are_drawn(poses: int, robots: int, tmp_path: Path) -> None:
+    way = Trajectory(np.arange(poses, dtype=np.float64), np.cumsum(np.ones((poses, 3)), axis=0))
+    tracks = [Track(f"r{k}", way, np.arange(poses) // 10) for k in range(robots)]
     marks = min(poses, 5)
     atlas = Atlas(
         name="any",
         counts={"steps": poses, "observations": 0, "landmarks": marks, "submaps": 1},
-        tracks=[track],
-        frames=np.zeros((min(poses, 1), 3)),
+        tracks=tracks,
+        frames=np.zeros((poses, 3)),
         landmarks=3.0 * np.ones((marks, 2)),
         covariances=np.tile(np.eye(2), (marks, 1, 1)),
-        unconnected=["r2"],
+        unconnected=["elsewhere"],
     )
     path = tmp_path / "map.png"
     draw(atlas, path)
