@@ -14,8 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from submaps.atlas.factors import factor, normal_equations, residual, rows_of
+from submaps._jit import jit
+from submaps.atlas.factors import cholesky, factor, information, normal_equations, residual, rows_of
 from submaps.atlas.placed import Placed, as_pose
+from submaps.errors import NumericalError
 from submaps.geometry.se2 import ORIGIN, Pose, compose, transform
 from submaps.submap import Submap
 
@@ -110,7 +112,83 @@ class _Joint:
     landmarks: list[int]
     points: Floats
     H: Floats
-    g: Floats
+
+
+@jit()
+def _step(L: Floats, g: Floats, first: int, values: Floats) -> float:
+    """values <- values - (L L^T)^-1 g from entry ``first`` on; the largest change."""
+    n = L.shape[0]
+    x = g[first:].copy()
+    for i in range(n):
+        for k in range(i):
+            x[i] -= L[i, k] * x[k]
+        x[i] /= L[i, i]
+    largest = 0.0
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            x[i] -= L[k, i] * x[k]
+        x[i] /= L[i, i]
+        values[first + i] -= x[i]
+        largest = max(largest, abs(x[i]))
+    return largest
+
+
+@jit(
+    "boolean(boolean, float64[::1], float64[:, ::1], int64[::1], float64[:, ::1], float64[::1], int64, float64[::1],"
+    "float64[:, ::1], float64[:, ::1])"
+)
+def _settle(
+    invariant: bool, estimate: Floats, own_information: Floats, place: NDArray[np.int64], information_: Floats,
+    vector: Floats, first: int, values: Floats, H: Floats, covariance: Floats,
+) -> bool:  # fmt: skip
+    """Gauss-Newton over (frame, end, landmarks) in place, with H at the end and its inverse.
+
+    ``place`` (s,) says which landmarks the factor speaks of; ``information_`` and ``vector`` are of the
+    frame and the first landmarks. Entries before ``first`` are held. False where H is not positive
+    definite.
+    """
+    n, d, m = values.shape[0], estimate.shape[0], vector.shape[0]
+    start = values.copy()
+    at = np.empty(d + 3, dtype=np.int64)  # of the factor's variables, and of the front's, in ``values``
+    at[:6] = np.arange(6)
+    for i in range(place.shape[0]):
+        at[6 + 2 * i], at[7 + 2 * i] = 6 + 2 * place[i], 7 + 2 * place[i]
+    seen, xi, J = np.empty((place.shape[0], 2)), np.empty(d), np.empty((d, 8))
+    block, gradient = np.empty((d + 3, d + 3)), np.empty(d + 3)
+    g = np.empty(n)
+    A = np.empty((n - first, n - first))
+    covariance[:] = 0.0
+    for _ in range(_ITERATIONS):
+        for i in range(place.shape[0]):
+            seen[i, 0], seen[i, 1] = values[6 + 2 * place[i]], values[7 + 2 * place[i]]
+        residual(invariant, estimate, values[:3], values[3:6], seen, xi, J)
+        normal_equations(own_information, xi, J, block, gradient)
+        H[:] = 0.0
+        g[:] = 0.0
+        for i in range(d + 3):
+            g[at[i]] += gradient[i]
+            for j in range(i + 1):
+                H[at[i], at[j]] += block[i, j]
+                if i != j:
+                    H[at[j], at[i]] += block[i, j]
+        for i in range(m):
+            p = i if i < 3 else i + 3
+            g[p] += vector[i]
+            for j in range(m):
+                q = j if j < 3 else j + 3
+                H[p, q] += information_[i, j]
+                g[p] += information_[i, j] * (values[q] - start[q])
+        A[:] = H[first:, first:]
+        if not cholesky(A):
+            return False
+        largest = _step(A, g, first, values)
+        if largest < _CONVERGED:
+            break
+    A[:] = H[first:, first:]
+    inverse = np.empty_like(A)
+    good = information(A, inverse)
+    covariance[first:, first:] = inverse
+    return good
 
 
 def condition(front: Front, submap: Submap, following: Submap | None = None) -> _Joint:
@@ -131,32 +209,21 @@ def condition(front: Front, submap: Submap, following: Submap | None = None) -> 
         at = slots[landmarks[i]]
         points[i] = transform(front.frame, float(submap.mean[at]), float(submap.mean[at + 1]))
     values = np.concatenate([front.frame, compose(front.frame, submap.pose), points.ravel()])
-    start = values.copy()
     place = np.array([landmarks.index(i) for i in shared], dtype=np.int64)
-    own = np.concatenate([np.arange(6), np.stack([6 + 2 * place, 7 + 2 * place], axis=1).ravel()]).astype(np.int64)
-    prior = np.concatenate([np.arange(3), np.arange(6, 6 + 2 * len(front.landmarks))])
-    free = np.arange(3 if front.fixed else 0, values.shape[0])
-    for _ in range(_ITERATIONS):
-        H, g = np.zeros((values.shape[0],) * 2), np.zeros(values.shape[0])
-        seen = np.ascontiguousarray(values[6:].reshape(-1, 2)[place])
-        block, gradient, _cost = _equations(submap, shared, as_pose(values[:3]), as_pose(values[3:6]), seen)
-        H[np.ix_(own, own)] += block
-        g[own] += gradient
-        H[np.ix_(prior, prior)] += front.information
-        g[prior] += front.vector + front.information @ (values - start)[prior]
-        step = np.linalg.solve(H[np.ix_(free, free)], g[free])
-        values[free] -= step
-        if float(np.abs(step).max(initial=0.0)) < _CONVERGED:
-            break
-    covariance = np.zeros_like(H)
-    inverse = np.linalg.inv(H[np.ix_(free, free)])
-    covariance[np.ix_(free, free)] = 0.5 * (inverse + inverse.T)
+    estimate, own_information = factor(submap, rows_of(submap, shared))
+    H, covariance = np.empty((2, values.shape[0], values.shape[0]))
+    if not _settle(
+        submap.invariant, estimate, own_information, place, np.ascontiguousarray(front.information),
+        np.ascontiguousarray(front.vector), 3 if front.fixed else 0, values, H, covariance,
+    ):  # fmt: skip
+        raise NumericalError(f"submap {submap.number}: what is known of it does not determine its place")
     points = values[6:].reshape(-1, 2)
+    own = np.concatenate([np.arange(6), (6 + 2 * place[:, np.newaxis] + np.arange(2)).ravel()])
     placed = Placed(
         submap, as_pose(values[:3]), as_pose(values[3:6]), shared, np.ascontiguousarray(points[place]),
-        covariance[np.ix_(own, own)],
+        covariance[own[:, np.newaxis], own],
     )  # fmt: skip
-    return _Joint(placed, landmarks, points, H, g)
+    return _Joint(placed, landmarks, points, H)
 
 
 def advance(front: Front, submap: Submap, following: Submap) -> Front:
@@ -166,7 +233,7 @@ def advance(front: Front, submap: Submap, following: Submap) -> Front:
     keep = [i for i, number in enumerate(joint.landmarks) if number in after]
     kept = np.array([3, 4, 5, *(6 + 2 * i + a for i in keep for a in (0, 1))])
     gone = np.setdiff1d(np.arange(3 if front.fixed else 0, joint.H.shape[0]), kept)
-    H, g = joint.H, np.zeros_like(joint.g)  # converged: no gradient is left
+    H, g = joint.H, np.zeros(joint.H.shape[0])  # converged: no gradient is left
     if front.fixed:
         H, g, gone, kept = H[3:, 3:], g[3:], gone - 3, kept - 3
     information, vector = _eliminate(H, g, gone)
