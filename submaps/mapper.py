@@ -69,7 +69,7 @@ class Mapper:
         columns, track_odom = _prepared(r, batch, landmark)
         late = self._announce(met)
         marks = self._due_marks(robot, float(batch.t[-1]))
-        taken, marked = np.ones(batch.observations, dtype=bool), None
+        marked = None
         if late:
             taken = np.isin(landmark, late, invert=True)
             columns = columns.only(taken)
@@ -82,9 +82,11 @@ class Mapper:
         if marked is not None:
             track, track_submap = track[marked.steps], track_submap[marked.steps]
             seen_status, seen_nis = seen_status[marked.observations], seen_nis[marked.observations]
-        status = np.full(batch.observations, kernel.LATE, dtype=np.uint8)
-        nis = np.full(batch.observations, math.nan)
-        status[taken], nis[taken] = seen_status, seen_nis
+        status, nis = seen_status, seen_nis
+        if late:
+            status = np.full(batch.observations, kernel.LATE, dtype=np.uint8)
+            nis = np.full(batch.observations, math.nan)
+            status[taken], nis[taken] = seen_status, seen_nis
         rejected, flagged = _set_aside(batch, status, nis)
         x, y, theta = track[-1].tolist()
         return Report(

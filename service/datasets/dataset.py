@@ -14,7 +14,7 @@ from submaps.measurements import Batch, Floats
 from submaps.trajectory import Trajectory
 
 ROBOT = "robot"
-WINDOW_SECONDS = 10.0
+WINDOW_SECONDS = 2.0
 
 
 class DatasetError(Exception):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import threading
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,11 +30,14 @@ class View:
 
     def __init__(self, state: AtlasState) -> None:
         self.state = state
-        self.graph = Graph(state)
-        self._names = {r.number: r.id for r in state.robots.values()}
         self._lock = threading.RLock()
         self._placed: dict[int, Placed] = {}
         self._outside: dict[int, int] = {}
+
+    @cached_property
+    def graph(self) -> Graph:
+        """Relative transforms between sub-maps."""
+        return Graph(self.state)
 
     @property
     def version(self) -> int:
@@ -123,8 +127,7 @@ class View:
 
     def _in_map(self, submap: Submap) -> None:
         if not self.connected(submap.robot):
-            names = self._names
-            own, first = names[submap.robot], names[0]
+            own, first = self.state.fleet[submap.robot].id, self.state.fleet[0].id
             raise NotConnected(f"no ties lead from robot {own!r} to 'map', the frame of robot {first!r}'s first pose")
 
     def frame_in(self, number: int, frame: str) -> Pose:
@@ -278,7 +281,7 @@ class View:
         s = self.state.submap(number)
         placed = self.placed(number) if self.connected(s.robot) else None
         return SubmapState(
-            id=number, robot=self._names[s.robot], active=s.active,
+            id=number, robot=self.state.fleet[s.robot].id, active=s.active,
             pose=placed.frame if placed else None, covariance=placed.frame_covariance if placed else None,
             landmarks=int(s.landmarks.shape[0]), steps=s.steps, observations=s.observations,
             nis=s.nis_sum / (2 * s.nis_count) if s.nis_count else None,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -69,9 +71,7 @@ def _noise(config: MotionConfig, own: Floats | None, dt: Floats) -> tuple[Floats
 
     ``own`` (c, d, d) are those that came with the readings, NaN where the model's stands.
     """
-    channels = len(config.channels)
-    covariance = np.diag(np.square(config.sigma[:channels]))[np.newaxis]
-    slip = np.array(config.sigma[channels:] or (0.0,))
+    covariance, slip = _of_model(config)
     if config.noise == "density":
         # A velocity of variance sigma²/dt moves by one of sigma² dt, as an increment does by itself.
         share = dt if config.model == "odometry" else 1.0 / np.maximum(dt, SHORTEST)
@@ -79,6 +79,13 @@ def _noise(config: MotionConfig, own: Floats | None, dt: Floats) -> tuple[Floats
     if own is not None and own.shape[0]:
         covariance = np.where(np.isnan(own[:, :1, :1]), covariance, own)
     return covariance, slip
+
+
+@lru_cache(maxsize=256)
+def _of_model(config: MotionConfig) -> tuple[Floats, Floats]:
+    """Covariance (1, d, d) and slip (1,) of a model's readings; nobody changes them."""
+    channels = len(config.channels)
+    return np.diag(np.square(config.sigma[:channels]))[np.newaxis], np.array(config.sigma[channels:] or (0.0,))
 
 
 @jit("void(float64[::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], int64[::1], float64[:, ::1])")
