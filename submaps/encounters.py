@@ -45,7 +45,7 @@ class Columns:
     def each(self) -> Floats:
         """Covariance (m, 2, 2) of each observation."""
         count = self.landmark.shape[0]
-        return np.broadcast_to(self.R, (count, 2, 2)) if self.R.shape[0] == 1 else self.R[:count]
+        return np.repeat(self.R, count, axis=0) if self.R.shape[0] == 1 else self.R[:count]
 
     def only(self, keep: NDArray[np.bool_]) -> Columns:
         """The same with some of the observations."""

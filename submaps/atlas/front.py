@@ -92,26 +92,14 @@ def _eliminate(H: Floats, g: Floats, gone: NDArray[np.int64]) -> tuple[Floats, F
     return 0.5 * (reduced + reduced.T), g[kept] - weight @ g[gone]
 
 
-def _carried(front: Front, submap: Submap, following: Submap | None) -> Front:
-    """The front without landmarks that neither the sub-map nor the one after it holds."""
-    wanted = set(submap.landmarks.tolist())
-    if following is not None:
-        wanted.update(following.landmarks.tolist())
-    keep = [i for i, number in enumerate(front.landmarks) if number in wanted]
-    gone = np.array([3 + 2 * i + a for i in range(len(front.landmarks)) if i not in keep for a in (0, 1)], dtype=int)
-    information, vector = _eliminate(front.information, front.vector, gone)
-    landmarks = [front.landmarks[i] for i in keep]
-    return Front(front.frame, landmarks, front.points[keep], information, vector, front.fixed)
-
-
 @dataclass(frozen=True)
 class _Joint:
-    """The posterior of one sub-map at the front, about its converged values."""
+    """The posterior of one sub-map at the front: frame, end and ``landmarks``, with their covariance."""
 
     placed: Placed
     landmarks: list[int]
     points: Floats
-    H: Floats
+    covariance: Floats
 
 
 @jit()
@@ -196,12 +184,11 @@ def condition(front: Front, submap: Submap, following: Submap | None = None) -> 
 
     With ``following``, the landmarks that it shares with the sub-map stay in as well.
     """
-    front = _carried(front, submap, following)
-    landmarks = list(front.landmarks)
     slots = submap.slots()
+    landmarks = list(front.landmarks)
     if following is not None:
-        after = following.slots()
-        landmarks += [i for i in slots if i in after and i not in landmarks]
+        known = set(landmarks)
+        landmarks += [i for i in following.landmarks.tolist() if i in slots and i not in known]
     shared = [i for i in landmarks if i in slots]
     points = np.empty((len(landmarks), 2))
     points[: len(front.landmarks)] = front.points
@@ -223,19 +210,18 @@ def condition(front: Front, submap: Submap, following: Submap | None = None) -> 
         submap, as_pose(values[:3]), as_pose(values[3:6]), shared, np.ascontiguousarray(points[place]),
         covariance[own[:, np.newaxis], own],
     )  # fmt: skip
-    return _Joint(placed, landmarks, points, H)
+    return _Joint(placed, landmarks, points, covariance)
 
 
 def advance(front: Front, submap: Submap, following: Submap) -> Front:
     """The front of ``following``, whose frame is the end of the closed ``submap``."""
     joint = condition(front, submap, following)
-    after = following.slots()
+    after = set(following.landmarks.tolist())
     keep = [i for i, number in enumerate(joint.landmarks) if number in after]
     kept = np.array([3, 4, 5, *(6 + 2 * i + a for i in keep for a in (0, 1))])
-    gone = np.setdiff1d(np.arange(3 if front.fixed else 0, joint.H.shape[0]), kept)
-    H, g = joint.H, np.zeros(joint.H.shape[0])  # converged: no gradient is left
-    if front.fixed:
-        H, g, gone, kept = H[3:, 3:], g[3:], gone - 3, kept - 3
-    information, vector = _eliminate(H, g, gone)
+    known = np.empty((kept.shape[0],) * 2)
+    if not information(np.ascontiguousarray(joint.covariance[kept[:, np.newaxis], kept]), known):
+        raise NumericalError(f"submap {submap.number}: what is known of it does not determine its end")
     landmarks = [joint.landmarks[i] for i in keep]
-    return Front(joint.placed.end, landmarks, joint.points[keep], information, vector, False)
+    # Converged: no gradient is left.
+    return Front(joint.placed.end, landmarks, joint.points[keep], known, np.zeros(kept.shape[0]), False)

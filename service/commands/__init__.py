@@ -1,0 +1,1 @@
+"""The commands of ``submaps``: one file each."""
