@@ -41,7 +41,7 @@ def measure(name: str) -> None:
     component: Component = join(mapper.problem()).component(0)
     data = np.empty(component.pattern.indices.shape[0])
     gradient = np.empty(component.pattern.size)
-    component.assemble(len(component.chain), data, gradient)
+    component.assemble(len(component.members), data, gradient)
     right = np.random.default_rng(0).normal(size=component.pattern.size)
     upper = csc_array(component.pattern.matrix(data))
     whole = csc_array(upper + triu(upper, 1).T)

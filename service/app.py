@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import logging
+import sys
 from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 from importlib.metadata import PackageNotFoundError, version
@@ -67,12 +69,20 @@ def _observe(app: FastAPI) -> None:
         app.state.requests = Requests(inner)
         return app.state.requests  # type: ignore[no-any-return]
 
-    app.add_middleware(wrap)
+    app.add_middleware(ingest.Direct)
+    app.add_middleware(wrap)  # the outer one: it sees them all
 
 
 def _report(starting: asyncio.Task[None]) -> None:
     if not starting.cancelled() and (error := starting.exception()):
         log.critical("the service cannot start", exc_info=error)
+    import os
+    if os.environ.get("FRZ","1")=="1":
+        gc.collect()
+        gc.freeze()
+    if os.environ.get("GEN2"):
+        gc.set_threshold(700, 10, int(os.environ["GEN2"]))
+    sys.setswitchinterval(float(os.environ.get("SWI","0.005")))
 
 
 def _version() -> str:

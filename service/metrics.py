@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -53,7 +55,7 @@ class Requests:
 
 def render(engine: Engine, requests: Requests) -> str:
     """Return every figure in Prometheus' text format."""
-    return "\n".join([*_engine(engine), *_requests(requests), ""])
+    return "\n".join([*_engine(engine), *_process(), *_requests(requests), ""])
 
 
 def _engine(engine: Engine) -> Iterator[str]:
@@ -75,6 +77,23 @@ def _engine(engine: Engine) -> Iterator[str]:
     ]
     for name, kind, text, value in figures:
         yield f"# HELP submaps_{name} {text}\n# TYPE submaps_{name} {kind}\nsubmaps_{name} {value}"
+
+
+def _process() -> Iterator[str]:
+    """What Prometheus' own clients say of a process, under the names that they use."""
+    figures = [("cpu_seconds_total", "counter", "processor time of all threads", time.process_time())]
+    if (resident := _resident_bytes()) is not None:
+        figures.append(("resident_memory_bytes", "gauge", "memory in use", resident))
+    for name, kind, text, value in figures:
+        yield f"# HELP process_{name} {text}\n# TYPE process_{name} {kind}\nprocess_{name} {value}"
+
+
+def _resident_bytes() -> int | None:
+    """Pages that the process holds, as Linux says; ``None`` elsewhere."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, IndexError):
+        return None
 
 
 def _requests(requests: Requests) -> Iterator[str]:

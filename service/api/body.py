@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fastapi import Request
+from starlette.requests import ClientDisconnect
 
 from service.problems import Problem
 
@@ -13,10 +14,12 @@ DISCARDED = 3  # times the limit is read and thrown away, so that the client hea
 
 def media_type(request: Request, known: Sequence[str]) -> str:
     """Return the body's content type; raises ``Problem`` (415) where it is not one of ``known``."""
-    encoding = request.headers.get("content-encoding", "identity")
+    encoding = _header(request, b"content-encoding", "identity")
     if encoding != "identity":
         raise _unsupported(f"content-encoding {encoding!r}", ["identity"])
-    given = request.headers.get("content-type", "")
+    given = _header(request, b"content-type")
+    if given in known:
+        return given
     type_, _, parameters = given.partition(";")
     type_ = type_.strip().lower()
     charset = parameters.strip().lower().replace('"', "")
@@ -29,21 +32,35 @@ def _unsupported(what: str, known: Sequence[str]) -> Problem:
     return Problem(415, "unsupported-media-type", f"Got {what}, expected {' or '.join(known)}.")
 
 
+def _header(request: Request, name: bytes, absent: str = "") -> str:
+    """Return the first header of a lower-case name."""
+    for key, value in request.scope["headers"]:
+        if key == name:
+            return str(value, "latin-1")
+    return absent
+
+
 async def read_body(request: Request) -> bytes:
     """Return the body; raises ``Problem`` (413) as soon as it is known to be too large."""
     limit: int = request.app.state.settings.max_body_bytes
-    stated = request.headers.get("content-length", "")
+    stated = _header(request, b"content-length")
     if stated.isdigit() and int(stated) > limit:
         await _discard(request, limit * DISCARDED)
         raise _too_large(limit)
     chunks: list[bytes] = []
     size = 0
-    async for chunk in request.stream():
+    more = True
+    while more:
+        message = await request.receive()
+        if message["type"] == "http.disconnect":
+            raise ClientDisconnect
+        chunk = message.get("body", b"")
         size += len(chunk)
         if size > limit:
             await _discard(request, limit * DISCARDED)
             raise _too_large(limit)
         chunks.append(chunk)
+        more = message.get("more_body", False)
     return chunks[0] if len(chunks) == 1 else b"".join(chunks)
 
 

@@ -32,11 +32,16 @@ def pack(kind: str, arrays: Mapping[str, NDArray[Any]], **fields: Any) -> bytes:
     """Return named arrays and JSON fields as bytes."""
     table, parts = [], []
     for name, array in arrays.items():
-        little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
-        if little.dtype.str not in _DTYPES:
-            raise EncodingError(f"{name}: cannot keep an array of {little.dtype}")
-        table.append([name, little.dtype.str, array.shape])
-        parts += [little.tobytes(), bytes(-little.nbytes % 8)]
+        code = array.dtype.str
+        if code not in _DTYPES:
+            array = array.astype(array.dtype.newbyteorder("<"))
+            code = array.dtype.str
+        if code not in _DTYPES:
+            raise EncodingError(f"{name}: cannot keep an array of {array.dtype}")
+        table.append((name, code, array.shape))
+        parts.append(array.tobytes())
+        if array.nbytes % 8:
+            parts.append(bytes(-array.nbytes % 8))
     header = orjson.dumps({"kind": kind, "arrays": table, **fields})
     header += b" " * (-len(header) % 8)
     return b"".join([_PREFIX.pack(MAGIC, len(header)), header, *parts])

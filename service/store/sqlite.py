@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import heapq
 import logging
+import re
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
+from functools import cache
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +33,13 @@ from service.store.migrations import load_statements, migrate
 SQL = load_statements()
 IDLE_SECONDS = 0.5  # what was derived waits this long for a group to go along with
 CLEAR_SECONDS = 0.02  # and a deleted map's next rows this long
+MOST_ROWS = 32  # inserted by one statement
 CLEAR_ROWS = 50  # rows of a deleted map cleared away at a time
 CHECKPOINT_BYTES = 16 * 2**20  # written to the log (about) before it is copied into the file
 ENTRY_BYTES = 8 * 1024  # of the log that an entry takes beside its data: pages of tables and indices
+
+_ROW = re.compile(r"\(\?[?, ]*\)")
+_INSERTS = {BatchEvent: "append_batch", SolveEvent: "append_solve", RobotEvent: "append_robot", CreateMap: "create_map"}
 
 log = logging.getLogger(__name__)
 
@@ -155,10 +162,10 @@ class SqliteJournal:
     def _commit(self, entries: list[Entry], derived: list[Derived]) -> None:
         self._writer.execute("BEGIN IMMEDIATE")
         try:
-            for entry in entries:
-                self._insert(entry)
+            for type_, run in groupby(entries, type):
+                self._insert(type_, list(run))
+            self._insert_rows("derive", derived)
             for one in derived:
-                self._writer.execute(SQL["derive"], _values(one))
                 self._written(one.track)
             self._writer.execute("COMMIT")
         except BaseException:
@@ -170,22 +177,25 @@ class SqliteJournal:
         self.stats.entries += len(entries)
         self.stats.syncs += 1  # synchronous=FULL: each commit syncs the log once
 
-    def _insert(self, entry: Entry) -> None:
-        match entry:
-            case BatchEvent():
-                self._writer.execute(SQL["append_batch"], _values(entry))
+    def _insert(self, type_: type[Entry], entries: list[Any]) -> None:
+        """Insert entries of one type."""
+        if type_ is DeleteMap:
+            self._writer.executemany(SQL["mark_deleted"], [(entry.map,) for entry in entries])
+            self._clearing = True
+            return
+        self._insert_rows(_INSERTS[type_], entries)
+        if type_ is not CreateMap:
+            for entry in entries:
                 self._written(entry.data)
-            case SolveEvent():
-                self._writer.execute(SQL["append_solve"], _values(entry))
-                self._written(entry.data)
-            case RobotEvent():
-                self._writer.execute(SQL["append_robot"], _values(entry))
-                self._written(entry.data)
-            case CreateMap():
-                self._writer.execute(SQL["create_map"], _values(entry))
-            case DeleteMap():
-                self._writer.execute(SQL["mark_deleted"], (entry.map,))
-                self._clearing = True
+
+    def _insert_rows(self, statement: str, rows: Sequence[Entry | Derived]) -> None:
+        # Many rows a statement: after each statement this thread has to wait for the interpreter.
+        at = 0
+        while at < len(rows):
+            some = rows[at : at + min(MOST_ROWS, 1 << (len(rows) - at).bit_length() - 1)]
+            values = tuple(chain.from_iterable(vars(row).values() for row in some))
+            self._writer.execute(_for_rows(statement, len(some)), values)
+            at += len(some)
 
     def _written(self, data: bytes) -> None:
         self.stats.bytes += len(data)
@@ -271,9 +281,10 @@ class SqliteJournal:
             yield reader
 
 
-def _values(entry: Entry | Derived) -> tuple[Any, ...]:
-    """Return an entry's fields in their order, which is that of its columns."""
-    return tuple(vars(entry).values())
+@cache
+def _for_rows(name: str, rows: int) -> str:
+    """Return a statement that has one row of parameters for so many rows."""
+    return _ROW.sub(lambda row: ", ".join([row[0]] * rows), SQL[name])
 
 
 def _connect(path: Path) -> sqlite3.Connection:

@@ -11,7 +11,7 @@ VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?);
 INSERT INTO robot (map, position, robot, data) VALUES (?, ?, ?, ?);
 -- name: derive
 INSERT OR REPLACE INTO derived (map, robot, sequence, began, ended, acknowledgement, track)
-SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE EXISTS (SELECT 1 FROM map WHERE key = ?1 AND NOT deleted);
+SELECT * FROM (VALUES (?, ?, ?, ?, ?, ?, ?)) WHERE EXISTS (SELECT 1 FROM map WHERE key = column1 AND NOT deleted);
 -- name: maps
 SELECT key, id, config FROM map WHERE NOT deleted ORDER BY key;
 -- name: last_key

@@ -98,8 +98,7 @@ def _controls(columns: Columns, models: Models, steps: int) -> tuple[Ints, Float
     if columns.control_step is None:
         step = np.arange(steps, dtype=np.int64)
     else:
-        step = np.array(columns.control_step, dtype=np.int64)
-        _check_steps("control_step", step, steps, least_rise=1)
+        step = _steps("control_step", columns.control_step, steps, least_rise=1)
     control = _channels("control", columns.control, motion.channels, step.size)
     check_steer(motion, control, "control.1.{}".format)
     return step, control
@@ -137,14 +136,13 @@ def _checked(
     where: str, seen: ObservationColumns | EncounterColumns, ids: str, names: list[str], model: ObservationConfig,
     steps: int,
 ) -> _Sightings:  # fmt: skip
-    step = np.array(seen.step, dtype=np.int64)
-    _check_steps(f"{where}.step", step, steps, least_rise=0)
+    step = _steps(f"{where}.step", seen.step, steps, least_rise=0)
     if len(names) != step.size:
         raise invalid(
             f"{where}.{ids}", f"got {len(names)}, expected one for each of {step.size} entries of {where}.step"
         )
     z = _channels(f"{where}.z", seen.z, model.channels, step.size)
-    if model.model == "range_bearing":
+    if model.model == "range_bearing" and min(seen.z[0], default=1.0) <= 0.0:
         check(z[0] > 0.0, lambda i: f"{where}.z.0.{i}", z[0], "a range above 0")
     covariance = _matrices(f"{where}.covariance", seen.covariance, 2, step.size)
     return _Sightings(step, tuple(names), z, covariance)
@@ -171,11 +169,15 @@ def _each(seen: _Sightings, model: ObservationConfig) -> Floats:
 # -- lists of numbers ----------------------------------------------------------------------------
 
 
-def _check_steps(name: str, step: Ints, steps: int, *, least_rise: int) -> None:
-    check(step < steps, lambda i: f"{name}.{i}", step, f"a step from 0 to {steps - 1}")
-    rises = np.diff(step, prepend=-1) >= least_rise
-    order = "rising" if least_rise else "not falling"
-    check(rises, lambda i: f"{name}.{i}", step, f"steps in order, {order}")
+def _steps(name: str, given: list[int], steps: int, *, least_rise: int) -> Ints:
+    step = np.array(given, dtype=np.int64)
+    rising = given == sorted(given) and (not least_rise or len(set(given)) == len(given))
+    if not rising or max(given, default=0) >= steps:  # only now who is at fault: a batch is often one step
+        check(step < steps, lambda i: f"{name}.{i}", step, f"a step from 0 to {steps - 1}")
+        rises = np.diff(step, prepend=-1) >= least_rise
+        order = "rising" if least_rise else "not falling"
+        check(rises, lambda i: f"{name}.{i}", step, f"steps in order, {order}")
+    return step
 
 
 def _channels(name: str, rows: list[list[float]], channels: tuple[str, ...], width: int) -> Floats:

@@ -117,10 +117,11 @@ class Component:
             if self.has(number):
                 f = self.at(number)
                 own[at[f] : at[f + 1]] &= every[at[f] : at[f + 1]] != landmark
+        self._every, self._every_owner = every, np.repeat(np.arange(len(self.members)), lengths)
         outside = total - np.bincount(every, minlength=total.shape[0])
         held = outside + np.bincount(every[own], minlength=total.shape[0])
         tied = own & (held[every] > 1)
-        self._owner = np.repeat(np.arange(len(self.members)), lengths)[tied]
+        self._owner = self._every_owner[tied]
         self._shared_landmark = every[tied]
         self._shared_at = _offsets(np.bincount(self._owner, minlength=len(self.members)))
         unique, rows = np.unique(self._shared_landmark, return_inverse=True)
@@ -199,6 +200,24 @@ class Component:
     def known_parts(self) -> dict[int, Part]:
         """Parts of the members by their numbers, for the next solve."""
         return {part[0].number: part for part in self.parts}
+
+    def holders(self, landmark: int) -> list[int]:
+        """Members that hold a landmark, tied or not, in order."""
+        found: list[int] = self._every_owner[self._every == landmark].tolist()
+        return found
+
+    def near(self, f: int, steps: int) -> list[int]:
+        """A member and those up to so many steps before and after it in its robot's chain."""
+        found = [f]
+        for link in ("previous", "following"):
+            at = f
+            for _ in range(steps):
+                number = getattr(self.members[at], link)
+                if number < 0:
+                    break
+                at = self.at(number)
+                found.append(at)
+        return found
 
     def last_holders(self, members: int) -> Ints:
         """For each shared landmark the last of the first ``members`` that holds it, or -1."""

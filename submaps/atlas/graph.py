@@ -24,7 +24,7 @@ from submaps.atlas.placed import additive_covariance, as_pose
 from submaps.atlas.state import AtlasState, submap_of
 from submaps.atlas.tie import fit
 from submaps.config import Start
-from submaps.errors import NotConnected, NumericalError
+from submaps.errors import NotConnected
 from submaps.geometry.se2 import ORIGIN, Pose, compose, compose_covariance, inverse, inverse_covariance
 from submaps.submap import Submap
 
@@ -49,6 +49,17 @@ class Edge:
 def origin_of(state: AtlasState, start: Start) -> int:
     """The sub-map in whose frame a start is given; ``map`` is the first one's."""
     return submap_of(start.frame) or 0
+
+
+def _turning_freely(a: Floats, b: Floats, C: Floats) -> tuple[Floats, Floats]:
+    """T_a_b of sub-maps whose common landmarks all lie at one place: a heading anywhere, of variance pi^2/3.
+
+    A robot that stands still while another sees it twice is such a place.
+    """
+    covariance = np.zeros((3, 3))
+    covariance[2, 2] = np.pi**2 / 3.0
+    covariance[:2, :2] = C + float(b @ b) * covariance[2, 2] * np.eye(2)
+    return np.array([*(a - b), 0.0]), covariance
 
 
 class Graph:
@@ -138,10 +149,9 @@ class Graph:
         A = np.array([first.mean[k : k + 2] for k in slots_a])
         B = np.array([second.mean[k : k + 2] for k in slots_b])
         T, covariance = np.empty(3), np.empty((3, 3))
-        if not fit(A, B, additive_covariance(first, slots_a), additive_covariance(second, slots_b), T, covariance):
-            raise NumericalError(
-                f"tie of sub-maps {first.number} and {second.number}: covariance not positive definite"
-            )
+        cov_a, cov_b = additive_covariance(first, slots_a), additive_covariance(second, slots_b)
+        if not fit(A, B, cov_a, cov_b, T, covariance):
+            T, covariance = _turning_freely(A[0], B[0], cov_a[:2, :2] + cov_b[:2, :2])
         return Edge("tie", first.number, second.number, as_pose(T), covariance)
 
     def _start(self, first: Submap, second: Submap) -> Edge:

@@ -25,8 +25,10 @@ Floats = NDArray[np.float64]
 
 # Below this share of its own covariance, what is left of it tells nothing: no other tie holds the landmark.
 _LEAST_REDUNDANCY = 1e-6
-# The share of the worst innovation from which on others are taken to be wrong for reasons of their own.
+# The share of the worst innovation nearby from which on others are taken to be wrong by themselves.
 _OUTSTANDING = 0.25
+# How far along a chain a wrong tie is felt, and by how few holders of its landmark.
+_NEAR_STEPS, _FEW = 3, 4
 # With more holders than this a newcomer does not outvote them.
 _MOST_VOTERS = 16
 
@@ -93,8 +95,8 @@ def innovations(component: Component, placed: Placed) -> Floats:
 def checked(component: Component, members: Iterable[int], untied: Untied, bound: float) -> Untied:
     """``untied`` after the ties of these members were checked.
 
-    One that is wrong makes others look so: what stands out far less than the worst waits until that
-    is gone, and so does what shares a sub-map or a landmark with a worse one.
+    One that is wrong makes its neighbours look so: what stands out far less than one nearby waits
+    until that is gone, and so does what shares a sub-map or a landmark with a worse one.
     """
     inverse = factorised(component).inverse_subset()
     found: list[tuple[float, int, int]] = []
@@ -103,15 +105,18 @@ def checked(component: Component, members: Iterable[int], untied: Untied, bound:
         if shared:
             nis = innovations(component, component.placed(component.members[f].number, inverse))
             found += [(float(nis[i]), f, shared[i]) for i in np.flatnonzero(nis > bound)]
-    found.sort(reverse=True)
+    worst: dict[int, float] = {}  # near a member, the worst first
     touched: set[tuple[str, int]] = set()
-    for nis_, f, landmark in found:
-        if nis_ < _OUTSTANDING * found[0][0]:
-            break
-        places = {("member", f), ("landmark", landmark)}
-        if not places & touched:
+    for nis_, f, landmark in sorted(found, reverse=True):
+        holders = component.holders(landmark)
+        alone = len(holders) > _FEW  # the many others hardly feel it
+        places = {("member", f)} if alone else {("member", f), ("landmark", landmark)}
+        if nis_ >= _OUTSTANDING * worst.get(f, 0.0) and not places & touched:
             untied = _voted(component, inverse, landmark, f, untied, bound)
         touched |= places
+        for holder in [f] if alone else holders:
+            for member in component.near(holder, _NEAR_STEPS):
+                worst.setdefault(member, nis_)
     return untied
 
 
@@ -123,9 +128,7 @@ def readmitted(component: Component, lately: Untied, untied: Untied, bound: floa
         if not component.has(number):
             continue
         at, covariance = _as_seen(component, inverse, landmark, component.at(number))
-        others = [
-            k for k, s in enumerate(component.members) if s.holds(landmark) and (s.number, landmark) not in untied
-        ]
+        others = [k for k in component.holders(landmark) if (component.members[k].number, landmark) not in untied]
         seen = [_as_seen(component, inverse, landmark, k) for k in others[-_MOST_VOTERS:]]
         if seen and all(_squared(at - other, covariance + its) <= bound for other, its in seen):
             again.add((number, landmark))
@@ -138,7 +141,7 @@ def _squared(d: Floats, covariance: Floats) -> float:
 
 def _voted(component: Component, inverse: InverseSubset, landmark: int, f: int, untied: Untied, bound: float) -> Untied:
     """``untied`` with a landmark's holders parted: the largest set of them that agrees keeps its ties."""
-    holders = [k for k, s in enumerate(component.members) if s.holds(landmark)]
+    holders = component.holders(landmark)
     number = component.members[f].number
     tied = {k for k in holders if (component.members[k].number, landmark) not in untied and k != f}
     if len(holders) == 2:

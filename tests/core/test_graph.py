@@ -184,3 +184,16 @@ def test_a_landmark_in_another_frame(invariant: bool) -> None:
     here = view.landmark("L1", "submap/1")
     assert np.allclose(here.covariance, cov, rtol=1e-8)
     assert minus(held[1].mean, held[1].mean, invariant).max() == 0.0
+
+
+def test_a_tie_about_one_place_leaves_the_heading_open() -> None:
+    """Two landmarks at one place in either sub-map tell where they lie, and not how they are turned."""
+    one, two, *_ = chain([[0, 1], [0, 1], [0]], seed=3)
+    mean_a, mean_b = one.mean.copy(), two.mean.copy()
+    mean_a[5:7], mean_b[3:7] = mean_a[3:5], 0.0
+    P = two.covariance() * 1e-9
+    still = submap(1, [0, 1], mean_b, P, following=2)
+    edge = Graph(atlas([submap(0, [0, 1], mean_a, one.covariance(), following=1), still])).edge("tie", 0, 1)
+    assert edge.transform[:2] == pytest.approx(tuple(mean_a[3:5]), abs=0.2)
+    assert edge.covariance[2, 2] > 1.0
+    assert np.all(np.linalg.eigvalsh(edge.covariance) > 0.0)
