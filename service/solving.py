@@ -8,6 +8,7 @@ import time
 from collections.abc import Awaitable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 from service.hosted import Hosted, Solve
@@ -15,6 +16,9 @@ from service.problems import Problem, not_found
 from submaps.atlas.joining import join
 from submaps.atlas.solution import Solution
 from submaps.atlas.state import AtlasState
+
+# Maps that may be captured or published at once: either waits its turn behind the measurements of all maps.
+AT_ONCE = 16
 
 log = logging.getLogger(__name__)
 
@@ -47,6 +51,9 @@ class Solver:
         self._some = asyncio.Event()
         self._executor = ThreadPoolExecutor(1, "solver")
         self._task: asyncio.Task[None] | None = None
+        self._solving: dict[Hosted, asyncio.Task[None]] = {}
+        self._turn = asyncio.Lock()
+        self._rested = 0.0  # the moment (s) from which on a thread may solve again
         self.solved = 0
         self.failed = 0
         self.seconds = 0.0
@@ -58,8 +65,10 @@ class Solver:
     async def close(self) -> None:
         """Stop; a solve under way is not published."""
         if self._task is not None:
-            self._task.cancel()
-            await asyncio.wait([self._task])
+            tasks = [self._task, *self._solving.values()]
+            for task in tasks:
+                task.cancel()
+            await asyncio.wait(tasks)
         await asyncio.to_thread(self._executor.shutdown)
 
     def want(self, hosted: Hosted) -> None:
@@ -78,25 +87,30 @@ class Solver:
     async def _run(self) -> None:
         while True:
             await self._some.wait()
-            hosted = next(iter(self._wanted))
-            del self._wanted[hosted]
-            if not self._wanted:
-                self._some.clear()
-            seconds = await self._solve(hosted)
-            await asyncio.sleep(seconds)  # the next waits as long as the last took
+            self._some.clear()
+            # A map that is being solved waits: nothing may be captured between a capture and its solve.
+            for hosted in [one for one in self._wanted if one not in self._solving]:
+                if len(self._solving) == AT_ONCE:
+                    break
+                del self._wanted[hosted]
+                task = asyncio.get_running_loop().create_task(self._solve(hosted))
+                self._solving[hosted] = task
+                task.add_done_callback(partial(self._done, hosted))
 
-    async def _solve(self, hosted: Hosted) -> float:
+    def _done(self, hosted: Hosted, _: asyncio.Task[None]) -> None:
+        del self._solving[hosted]
+        if self._wanted:
+            self._some.set()
+
+    async def _solve(self, hosted: Hosted) -> None:
         hosted.begun += 1
         number, waiting = hosted.begun, hosted.waiting
         hosted.waiting = []
-        seconds = 0.0
         outcome: Solve | Problem
         try:
             hosted.check_usable()
             base, problem = await self._engine.capture(hosted)
-            loop = asyncio.get_running_loop()
-            solved = await loop.run_in_executor(self._executor, _timed, problem)
-            seconds = solved.seconds
+            solved = await self._in_turn(problem)
             outcome = await self._engine.publish(hosted, base, number, solved)
             self.solved += 1
         except Problem as problem_:
@@ -104,9 +118,17 @@ class Solver:
         except Exception as error:
             log.exception("solve %d of map %r failed", number, hosted.id)
             outcome = Problem(500, "solve-failed", f"Solve {number} failed: {error}")
-        self.seconds += seconds
         self._tell(hosted, number, waiting, outcome)
-        return seconds
+
+    async def _in_turn(self, problem: AtlasState) -> Solved:
+        """Solve in the thread for that, which then rests as long as it took: half of one core at most."""
+        loop = asyncio.get_running_loop()
+        async with self._turn:
+            await asyncio.sleep(max(self._rested - loop.time(), 0.0))
+            solved = await loop.run_in_executor(self._executor, _timed, problem)
+            self._rested = loop.time() + solved.seconds
+        self.seconds += solved.seconds
+        return solved
 
     def _tell(
         self,

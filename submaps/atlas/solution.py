@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from submaps.atlas.component import Component, Link, Part
 from submaps.atlas.factors import information
+from submaps.atlas.front import Front, advance
 from submaps.atlas.placed import Placed
 from submaps.atlas.sparse import Factorisation, InverseSubset
 from submaps.atlas.state import AtlasState, submap_of
 from submaps.config import Start
 from submaps.errors import MeasurementError
+from submaps.submap import Submap
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -178,6 +180,22 @@ class Solution:
             self.inverse(root)
         for number in self.base.active:
             self.placed(number)
+        self._catch_up()
+
+    def front(self, submap: Submap) -> Front:
+        """What it leaves to a sub-map of the base state that was active then (see ``atlas.front``)."""
+        fixed = submap.previous < 0 and self.root(submap.number) == submap.robot
+        return Front.of_solution(self.placed(submap.number), fixed and self.base.fleet[submap.robot].start is None)
+
+    def _catch_up(self) -> None:
+        """Bring the fronts forward through what has closed meanwhile: the records only grow."""
+        fronts, records = self.settled.setdefault("fronts", {}), self.base.records
+        for number, submap in self.base.active.items():
+            front, closed = self.front(submap), records[number]
+            while closed is not None and (following := records[closed.following]) is not None:
+                front = advance(front, closed, following)
+                fronts[following.number] = front
+                closed = following
 
     def inverse(self, root: int) -> InverseSubset:
         """Joint covariances of a component's variables, where they share a factor."""

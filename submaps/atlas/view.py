@@ -94,8 +94,7 @@ class View:
         if at.number in known:
             front: Front = known[at.number]
         elif solution is not None and self._solved(at):
-            rooted = at.previous < 0 and solution.roots[at.robot] == at.robot
-            front = Front.of_solution(solution.placed(at.number), rooted and self.state.fleet[at.robot].start is None)
+            front = solution.front(at)
         else:
             front = self._first_front(at)
         for before, after in itertools.pairwise(reversed(since)):
