@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from submaps._jit import jit
 from submaps.atlas.factors import cholesky, factor, information, normal_equations, residual, rows_of
-from submaps.atlas.placed import Placed, as_pose
+from submaps.atlas.placed import Placed, as_pose, rotation
 from submaps.errors import NumericalError
-from submaps.geometry.se2 import ORIGIN, Pose, compose, transform
+from submaps.geometry.se2 import ORIGIN, Pose, between, compose
 from submaps.submap import Submap
 
 Floats = NDArray[np.float64]
@@ -30,8 +30,9 @@ _CONVERGED = 1e-10
 class Front:
     """Information about a sub-map's frame and landmarks from everything but its own factor.
 
-    ``information`` (3 + 2m, 3 + 2m) and ``vector`` (3 + 2m,) are of the increments of (``frame``,
-    ``points``): cost d^T information d + 2 vector^T d. A ``fixed`` frame is the component's first.
+    ``points`` (m, 2) are in the sub-map's frame; ``information`` (3 + 2m, 3 + 2m) and ``vector``
+    (3 + 2m,) are of the increments of (``frame``, ``points``): cost d^T information d + 2 vector^T d.
+    A ``fixed`` frame is the component's first.
     """
 
     frame: Pose
@@ -49,9 +50,8 @@ class Front:
     @classmethod
     def of_start(cls, frame: Pose, covariance: Floats) -> Front:
         """That of a first sub-map whose frame is known by the (3, 3) covariance of its additive errors."""
-        return cls(
-            frame, [], np.empty((0, 2)), np.asarray(np.linalg.inv(covariance), dtype=np.float64), np.zeros(3), False
-        )
+        known = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
+        return cls(frame, [], np.empty((0, 2)), known, np.zeros(3), False)
 
     @classmethod
     def of_solution(cls, placed: Placed, fixed: bool) -> Front:
@@ -59,47 +59,80 @@ class Front:
 
         A ``fixed`` frame is the root of its component.
         """
-        H, g, _ = _equations(placed.submap, placed.shared, placed.frame, placed.end, placed.points)
-        own, gradient = _eliminate(H, g, np.arange(3, 6))
-        size = own.shape[0]
-        kept = np.r_[0:3, 6 : size + 3]
-        free = np.arange(3 if fixed else 0, size)
-        information = np.zeros((size, size))
-        inside = np.ix_(free, free)
-        information[inside] = np.linalg.inv(placed.covariance[np.ix_(kept, kept)][inside]) - own[inside]
-        return cls(placed.frame, placed.shared, placed.points, information, -gradient, fixed)
+        points = _within(placed.frame, placed.points)
+        kept = np.r_[0:3, 6 : placed.covariance.shape[0]]
+        to_own = _to_own(placed.frame, points)
+        covariance = to_own @ placed.covariance[np.ix_(kept, kept)] @ to_own.T
+        first = 3 if fixed else 0
+        whole = np.zeros_like(covariance)
+        whole[first:, first:] = _inverse(placed.submap, np.ascontiguousarray(covariance[first:, first:]))
+        own, gradient = _own_information(placed.submap, placed.shared, between(placed.frame, placed.end), points)
+        whole[3:, 3:] -= own
+        return cls(placed.frame, placed.shared, points, whole, np.concatenate([np.zeros(3), -gradient]), fixed)
 
 
-def _equations(
-    submap: Submap, shared: list[int], frame: Pose, end: Pose, points: Floats
-) -> tuple[Floats, Floats, float]:
-    """A sub-map's Gauss-Newton block, gradient and cost over frame, end and shared landmarks."""
-    estimate, information = factor(submap, rows_of(submap, shared))
+def _within(frame: Pose, points: Floats) -> Floats:
+    """Points (m, 2) given beside a frame, in that frame."""
+    return np.ascontiguousarray((points - frame[:2]) @ rotation(frame[2]))
+
+
+def _to_own(frame: Pose, points: Floats) -> Floats:
+    """d(frame, points in it) / d(frame, points beside it), (3 + 2m, 3 + 2m)."""
+    R = rotation(frame[2])
+    D = np.eye(3 + points.size)
+    for i, (x, y) in enumerate(points):
+        rows = slice(3 + 2 * i, 5 + 2 * i)
+        D[rows, rows], D[rows, :2], D[rows, 2] = R.T, -R.T, (y, -x)
+    return D
+
+
+def _inverse(submap: Submap, covariance: Floats) -> Floats:
+    out = np.empty_like(covariance)
+    if not information(covariance, out):
+        raise NumericalError(f"submap {submap.number}: the covariance of what is known of it is not positive definite")
+    return out
+
+
+def _own_information(submap: Submap, shared: list[int], end: Pose, points: Floats) -> tuple[Floats, Floats]:
+    """What a sub-map's factor says of its shared landmarks in its own frame, the end marginalised."""
+    estimate, own = factor(submap, rows_of(submap, shared))
     d = estimate.shape[0]
     xi, J, H, g = np.empty(d), np.empty((d, 8)), np.empty((d + 3, d + 3)), np.empty(d + 3)
-    residual(submap.invariant, estimate, np.array(frame), np.array(end), points, xi, J)
-    cost = normal_equations(information, xi, J, H, g)
-    return np.tril(H) + np.tril(H, -1).T, g, cost
-
-
-def _eliminate(H: Floats, g: Floats, gone: NDArray[np.int64]) -> tuple[Floats, Floats]:
-    """Schur complement: information and gradient of the rest after the entries ``gone`` are marginalised."""
-    kept = np.setdiff1d(np.arange(H.shape[0]), gone)
-    if gone.shape[0] == 0:
-        return H, g
-    weight = np.linalg.solve(H[np.ix_(gone, gone)], H[np.ix_(gone, kept)]).T
-    reduced = H[np.ix_(kept, kept)] - weight @ H[np.ix_(gone, kept)]
-    return 0.5 * (reduced + reduced.T), g[kept] - weight @ g[gone]
+    residual(submap.invariant, estimate, np.zeros(3), np.array(end), points, xi, J)
+    normal_equations(own, xi, J, H, g)
+    H = np.tril(H) + np.tril(H, -1).T
+    weight = np.linalg.solve(H[3:6, 3:6], H[3:6, 6:]).T
+    reduced = H[6:, 6:] - weight @ H[3:6, 6:]
+    return 0.5 * (reduced + reduced.T), g[6:] - weight @ g[3:6]
 
 
 @dataclass(frozen=True)
-class _Joint:
-    """The posterior of one sub-map at the front: frame, end and ``landmarks``, with their covariance."""
+class Joint:
+    """The posterior of one sub-map at the front: its frame, and its end and ``landmarks`` in that frame."""
 
-    placed: Placed
+    submap: Submap
+    frame: Pose
+    end: Pose
     landmarks: list[int]
+    shared: list[int]
     points: Floats
     covariance: Floats
+
+    def placed(self) -> Placed:
+        """The same beside the frame, as queries want it."""
+        R, points = rotation(self.frame[2]), self.points
+        D = np.eye(self.covariance.shape[0])
+        for at, (x, y) in [(3, self.end[:2]), *((6 + 2 * i, point) for i, point in enumerate(points))]:
+            D[at : at + 2, at : at + 2], D[at : at + 2, :2] = R, np.eye(2)
+            D[at : at + 2, 2] = R @ (-y, x)
+        D[5, 2] = 1.0
+        place = np.array([self.landmarks.index(i) for i in self.shared], dtype=np.int64)
+        own = np.concatenate([np.arange(6), (6 + 2 * place[:, np.newaxis] + np.arange(2)).ravel()])
+        D = D[own]
+        beside = points[place].reshape(-1, 2) @ R.T + self.frame[:2]
+        covariance = D @ self.covariance @ D.T
+        end = compose(self.frame, self.end)
+        return Placed(self.submap, self.frame, end, self.shared, beside, 0.5 * (covariance + covariance.T))
 
 
 @jit()
@@ -129,14 +162,15 @@ def _settle(
     invariant: bool, estimate: Floats, own_information: Floats, place: NDArray[np.int64], information_: Floats,
     vector: Floats, first: int, values: Floats, H: Floats, covariance: Floats,
 ) -> bool:  # fmt: skip
-    """Gauss-Newton over (frame, end, landmarks) in place, with H at the end and its inverse.
+    """Gauss-Newton over (frame, end, landmarks) in place, and the inverse of H at the end.
 
-    ``place`` (s,) says which landmarks the factor speaks of; ``information_`` and ``vector`` are of the
-    frame and the first landmarks. Entries before ``first`` are held. False where H is not positive
-    definite.
+    End and landmarks are in the frame, so that the factor does not speak of where that lies: far
+    away, and little known, it would drown what is known of it. ``place`` (s,) says which landmarks
+    the factor speaks of; ``information_`` and ``vector`` are of the frame and the first landmarks.
+    Entries before ``first`` are held. False where H is not positive definite.
     """
     n, d, m = values.shape[0], estimate.shape[0], vector.shape[0]
-    start = values.copy()
+    start, origin = values.copy(), np.zeros(3)
     at = np.empty(d + 3, dtype=np.int64)  # of the factor's variables, and of the front's, in ``values``
     at[:6] = np.arange(6)
     for i in range(place.shape[0]):
@@ -149,13 +183,13 @@ def _settle(
     for _ in range(_ITERATIONS):
         for i in range(place.shape[0]):
             seen[i, 0], seen[i, 1] = values[6 + 2 * place[i]], values[7 + 2 * place[i]]
-        residual(invariant, estimate, values[:3], values[3:6], seen, xi, J)
+        residual(invariant, estimate, origin, values[3:6], seen, xi, J)
         normal_equations(own_information, xi, J, block, gradient)
         H[:] = 0.0
         g[:] = 0.0
-        for i in range(d + 3):
+        for i in range(3, d + 3):
             g[at[i]] += gradient[i]
-            for j in range(i + 1):
+            for j in range(3, i + 1):
                 H[at[i], at[j]] += block[i, j]
                 if i != j:
                     H[at[j], at[i]] += block[i, j]
@@ -179,10 +213,11 @@ def _settle(
     return good
 
 
-def condition(front: Front, submap: Submap, following: Submap | None = None) -> _Joint:
+def condition(front: Front, submap: Submap, following: Submap | None = None) -> Joint:
     """Gauss-Newton on the front's information and the sub-map's own factor.
 
-    With ``following``, the landmarks that it shares with the sub-map stay in as well.
+    With ``following``, the landmarks that it shares with the sub-map stay in as well. Raises
+    ``NumericalError`` where what is known does not determine the sub-map's place.
     """
     slots = submap.slots()
     landmarks = list(front.landmarks)
@@ -190,12 +225,8 @@ def condition(front: Front, submap: Submap, following: Submap | None = None) -> 
         known = set(landmarks)
         landmarks += [i for i in following.landmarks.tolist() if i in slots and i not in known]
     shared = [i for i in landmarks if i in slots]
-    points = np.empty((len(landmarks), 2))
-    points[: len(front.landmarks)] = front.points
-    for i in range(len(front.landmarks), len(landmarks)):
-        at = slots[landmarks[i]]
-        points[i] = transform(front.frame, float(submap.mean[at]), float(submap.mean[at + 1]))
-    values = np.concatenate([front.frame, compose(front.frame, submap.pose), points.ravel()])
+    new = [slots[i] + k for i in landmarks[len(front.landmarks) :] for k in (0, 1)]
+    values = np.concatenate([front.frame, submap.pose, front.points.ravel(), submap.mean[new]])
     place = np.array([landmarks.index(i) for i in shared], dtype=np.int64)
     estimate, own_information = factor(submap, rows_of(submap, shared))
     H, covariance = np.empty((2, values.shape[0], values.shape[0]))
@@ -204,13 +235,8 @@ def condition(front: Front, submap: Submap, following: Submap | None = None) -> 
         np.ascontiguousarray(front.vector), 3 if front.fixed else 0, values, H, covariance,
     ):  # fmt: skip
         raise NumericalError(f"submap {submap.number}: what is known of it does not determine its place")
-    points = values[6:].reshape(-1, 2)
-    own = np.concatenate([np.arange(6), (6 + 2 * place[:, np.newaxis] + np.arange(2)).ravel()])
-    placed = Placed(
-        submap, as_pose(values[:3]), as_pose(values[3:6]), shared, np.ascontiguousarray(points[place]),
-        covariance[own[:, np.newaxis], own],
-    )  # fmt: skip
-    return _Joint(placed, landmarks, points, covariance)
+    frame, end = as_pose(values[:3]), as_pose(values[3:6])
+    return Joint(submap, frame, end, landmarks, shared, values[6:].reshape(-1, 2), covariance)
 
 
 def advance(front: Front, submap: Submap, following: Submap) -> Front:
@@ -218,10 +244,15 @@ def advance(front: Front, submap: Submap, following: Submap) -> Front:
     joint = condition(front, submap, following)
     after = set(following.landmarks.tolist())
     keep = [i for i, number in enumerate(joint.landmarks) if number in after]
-    kept = np.array([3, 4, 5, *(6 + 2 * i + a for i in keep for a in (0, 1))])
-    known = np.empty((kept.shape[0],) * 2)
-    if not information(np.ascontiguousarray(joint.covariance[kept[:, np.newaxis], kept]), known):
-        raise NumericalError(f"submap {submap.number}: what is known of it does not determine its end")
+    points = _within(joint.end, joint.points[keep].reshape(-1, 2))
+    R, T = rotation(joint.frame[2]), rotation(joint.end[2]).T
+    D = np.zeros((3 + points.size, joint.covariance.shape[0]))  # d(new frame, points in it) / d(frame, end, points)
+    x, y = joint.end[:2]
+    D[:3, :3], D[:2, 2], D[:2, 3:5], D[2, 5] = np.eye(3), R @ (-y, x), R, 1.0
+    for i, (k, (u, v)) in enumerate(zip(keep, points, strict=True)):
+        rows = slice(3 + 2 * i, 5 + 2 * i)
+        D[rows, 6 + 2 * k : 8 + 2 * k], D[rows, 3:5], D[rows, 5] = T, -T, (v, -u)
+    known = _inverse(submap, np.ascontiguousarray(D @ joint.covariance @ D.T))
     landmarks = [joint.landmarks[i] for i in keep]
     # Converged: no gradient is left.
-    return Front(joint.placed.end, landmarks, joint.points[keep], known, np.zeros(kept.shape[0]), False)
+    return Front(compose(joint.frame, joint.end), landmarks, points, known, np.zeros(known.shape[0]), False)

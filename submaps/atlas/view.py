@@ -79,7 +79,7 @@ class View:
                 return solution.placed(number)
         with self._lock:
             if number not in self._placed:
-                self._placed[number] = condition(self._front(submap), submap).placed
+                self._placed[number] = condition(self._front(submap), submap).placed()
             return self._placed[number]
 
     def _front(self, submap: Submap) -> Front:

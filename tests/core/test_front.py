@@ -13,7 +13,19 @@ from submaps.atlas.placed import Placed
 from submaps.atlas.view import View
 from submaps.mapper import Mapper
 from submaps.submap import Submap
-from tests.core.support import ODOMETRY, Dense, atlas, chain, cut, dense_join, laps, random_covariance, submap
+from tests.core.support import (
+    ODOMETRY,
+    Dense,
+    Step,
+    atlas,
+    batch,
+    chain,
+    cut,
+    dense_join,
+    laps,
+    random_covariance,
+    submap,
+)
 
 Floats = NDArray[np.float64]
 both_filters = pytest.mark.parametrize("invariant", [True, False], ids=["invariant", "standard"])
@@ -151,3 +163,23 @@ def test_map_to_odom_takes_dead_reckoning_to_the_estimate() -> None:
     assert np.cos(theta + odom.theta - best.theta) == pytest.approx(1.0)
     assert odom.kind == "dead_reckoning"
     assert best.kind == "joined"
+
+
+def test_far_away_and_little_known_is_still_placed() -> None:
+    """Ten kilometres along a street without loops or solves: metres of doubt beside millimetres."""
+    rng = np.random.default_rng(0)
+    mapper = Mapper(ODOMETRY)
+    for k in range(0, 10_000, 200):
+        x = np.arange(k, k + 200)
+        seen = [
+            [(f"{i}", (10.0 * i - x_ + 0.1 * rng.normal(), 3.0)) for i in range(x_ // 10, x_ // 10 + 2)] for x_ in x
+        ]
+        control = [tuple(c) for c in np.array([1.0, 0.0, 0.0]) + rng.normal(size=(200, 3)) * ODOMETRY.motion.sigma]
+        steps = [Step(c if i else None, s) for i, c, s in zip(x, control, seen, strict=True)]
+        mapper.apply("r", batch(steps, start=0.1 * k))
+        found = mapper.view().pose("r")
+        assert np.all(np.linalg.eigvalsh(found.covariance) > 0.0)
+    solved = join(mapper.problem())
+    mapper.install(solved)
+    now = mapper.view().pose("r")
+    assert found.covariance == pytest.approx(now.covariance, rel=0.2)
