@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
-import sys
 from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 from importlib.metadata import PackageNotFoundError, version
@@ -44,7 +43,7 @@ def create_app(settings: Settings) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         # In the background: /healthz answers meanwhile, and everything else says why it does not.
-        starting = asyncio.create_task(engine.start())
+        starting = asyncio.create_task(_start(engine))
         starting.add_done_callback(_report)
         yield
         await asyncio.wait([starting])
@@ -53,6 +52,7 @@ def create_app(settings: Settings) -> FastAPI:
     app = FastAPI(
         title="Submaps", version=_version(), lifespan=lifespan, redirect_slashes=False,
         description="Large-scale SLAM as a service: bounded sub-maps, joined, with covariances.",
+        telemetry={"tracing": False, "metrics": False, "logs": False},
     )  # fmt: skip
     app.state.settings = settings
     app.state.engine = engine
@@ -73,16 +73,17 @@ def _observe(app: FastAPI) -> None:
     app.add_middleware(wrap)  # the outer one: it sees them all
 
 
+async def _start(engine: Engine) -> None:
+    await engine.start()
+    # What is there now stays: libraries, recovered maps. Looked through for garbage again and again,
+    # it would stop every thread for a tenth of a second each time.
+    gc.collect()
+    gc.freeze()
+
+
 def _report(starting: asyncio.Task[None]) -> None:
     if not starting.cancelled() and (error := starting.exception()):
         log.critical("the service cannot start", exc_info=error)
-    import os
-    if os.environ.get("FRZ","1")=="1":
-        gc.collect()
-        gc.freeze()
-    if os.environ.get("GEN2"):
-        gc.set_threshold(700, 10, int(os.environ["GEN2"]))
-    sys.setswitchinterval(float(os.environ.get("SWI","0.005")))
 
 
 def _version() -> str:

@@ -11,6 +11,7 @@ import asyncio
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from service import recovery
 from service.acknowledgements import as_duplicate
@@ -32,6 +33,7 @@ from service.store.base import (
     BatchEvent,
     CreateMap,
     DeleteMap,
+    Entry,
     Journal,
     RobotEvent,
     SolveEvent,
@@ -66,6 +68,7 @@ class Engine:
         self.maps: dict[str, Hosted] = {}
         self.unready: str | None = "recovering from the journal"
         self._next_key = 1
+        self._outgoing: list[tuple[Entry, Pending]] = []  # to the journal, in this turn of the event loop
         self._applier = Applier(journal, self._tell)
         self.solver = Solver(self)
 
@@ -93,6 +96,7 @@ class Engine:
         """Finish what was admitted, and stop."""
         self.unready = "stopped"
         await self.solver.close()
+        self._hand_over()
         await asyncio.to_thread(self._close)
 
     def _close(self) -> None:
@@ -147,7 +151,7 @@ class Engine:
 
     async def _change(self, hosted: Hosted, entry: CreateMap | DeleteMap) -> None:
         done: asyncio.Future[None] = self._loop.create_future()
-        self.journal.append(entry, PendingChange(hosted, done))
+        self._append(entry, PendingChange(hosted, done))
         await done
 
     # -- robots ----------------------------------------------------------------------------------
@@ -165,8 +169,19 @@ class Engine:
         hosted.own[robot] = own
         event = RobotEvent(hosted.key, hosted.position, robot, data)
         pending = PendingRobot(hosted, event, own, self._loop.create_future())
-        self.journal.append(event, pending)
+        self._append(event, pending)
         await asyncio.shield(pending.done)
+
+    def _append(self, entry: Entry, pending: Pending) -> None:
+        """Send an entry to the journal, along with the others of this turn of the event loop."""
+        if not self._outgoing:
+            self._loop.call_soon(self._hand_over)
+        self._outgoing.append((entry, pending))
+
+    def _hand_over(self) -> None:
+        outgoing, self._outgoing = self._outgoing, []
+        for entry, pending in outgoing:
+            self.journal.append(entry, pending)
 
     # -- measurements ----------------------------------------------------------------------------
 
@@ -191,8 +206,8 @@ class Engine:
         event = BatchEvent(hosted.key, hosted.position, robot, decoded.sequence, digest(data), data)
         pending = PendingBatch(hosted, event, batch, self._loop.create_future())
         hosted.in_flight[robot, decoded.sequence] = pending
-        self.journal.append(event, pending)
-        acknowledgement = await asyncio.shield(pending.done)
+        self._append(event, pending)
+        acknowledgement = await pending.done
         self.counters.batches += 1
         self.counters.steps += batch.steps
         self.counters.observations += batch.observations
@@ -203,7 +218,9 @@ class Engine:
         pending = hosted.in_flight.get((robot, sequence))
         if pending is not None:
             _check_same(sequence, last, content, pending.event.digest)
-            return as_duplicate(await asyncio.shield(pending.done))
+            repeat: asyncio.Future[bytes] = self._loop.create_future()
+            pending.repeats.append(repeat)
+            return as_duplicate(await repeat)
         if sequence <= last - KEPT_ACKNOWLEDGEMENTS:
             raise Problem(
                 409, "sequence-too-old",
@@ -242,7 +259,7 @@ class Engine:
             solved.seconds, solution.iterations, solution.cost,
         )  # fmt: skip
         pending = PendingSolve(hosted, event, solution, self._loop.create_future())
-        self.journal.append(event, pending)
+        self._append(event, pending)
         return await pending.done
 
     # -- what the applying thread tells ----------------------------------------------------------
@@ -254,20 +271,26 @@ class Engine:
         if lost is not None:
             self.unready = f"the journal cannot be written ({lost})"
         for done, result in results:
-            if done.cancelled():
-                continue
-            if isinstance(result, Exception):
-                done.set_exception(result)
-            else:
-                done.set_result(result)
+            _settle(done, result)
         touched = {pending.hosted: None for pending in group}
-        for pending in group:
+        for pending, (_, result) in zip(group, results, strict=False):  # a capture has a result and no entry
             if isinstance(pending, PendingBatch):
                 event = pending.event
                 pending.hosted.in_flight.pop((event.robot, event.sequence), None)
+                for repeat in pending.repeats:
+                    _settle(repeat, result)
         for hosted in touched:
             if hosted.runtime.solve_due and not hosted.deleted and not hosted.halted:
                 self.solver.want(hosted)
+
+
+def _settle(done: asyncio.Future[Any], result: Any) -> None:
+    if done.cancelled():
+        return
+    if isinstance(result, Exception):
+        done.set_exception(result)
+    else:
+        done.set_result(result)
 
 
 def _check_same(sequence: int, last: int, content: bytes, first: bytes) -> None:

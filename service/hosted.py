@@ -127,12 +127,17 @@ def _late(path: str, first: float, last: Admitted) -> Problem:
 
 @dataclass(eq=False)
 class PendingBatch:
-    """A batch on its way through journal and map; ``done`` gives its acknowledgement."""
+    """A batch on its way through journal and map; ``done`` gives its acknowledgement.
+
+    So does each of ``repeats``, for whoever sent it again meanwhile: a future each, since one that
+    stops waiting cancels its own.
+    """
 
     hosted: Hosted
     event: BatchEvent
     batch: Batch
     done: asyncio.Future[bytes]
+    repeats: list[asyncio.Future[bytes]] = field(default_factory=list)
 
 
 @dataclass(eq=False)

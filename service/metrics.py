@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -47,10 +48,11 @@ class Requests:
             await self._app(scope, receive, note)
         finally:
             route = getattr(scope.get("route"), "path", "none")
-            one = self.routes.setdefault((scope["method"], route, status), _Route())
+            key = (scope["method"], route, status)
+            one = self.routes.get(key) or self.routes.setdefault(key, _Route())
             seconds = time.perf_counter() - began
             one.seconds += seconds
-            one.counts[sum(seconds > bound for bound in BOUNDS)] += 1
+            one.counts[bisect_left(BOUNDS, seconds)] += 1
 
 
 def render(engine: Engine, requests: Requests) -> str:

@@ -31,10 +31,10 @@ class EncodingError(ValueError):
 def pack(kind: str, arrays: Mapping[str, NDArray[Any]], **fields: Any) -> bytes:
     """Return named arrays and JSON fields as bytes."""
     table, parts = [], []
-    for name, array in arrays.items():
-        code = array.dtype.str
+    for name, given in arrays.items():
+        array, code = given, given.dtype.str
         if code not in _DTYPES:
-            array = array.astype(array.dtype.newbyteorder("<"))
+            array = given.astype(given.dtype.newbyteorder("<"))
             code = array.dtype.str
         if code not in _DTYPES:
             raise EncodingError(f"{name}: cannot keep an array of {array.dtype}")

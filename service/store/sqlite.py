@@ -7,6 +7,7 @@ import logging
 import re
 import sqlite3
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from functools import cache
@@ -31,7 +32,7 @@ from service.store.base import (
 from service.store.migrations import load_statements, migrate
 
 SQL = load_statements()
-IDLE_SECONDS = 0.5  # what was derived waits this long for a group to go along with
+IDLE_SECONDS = 0.5  # what was derived waits this long, or up to twice, for a group to go along with
 CLEAR_SECONDS = 0.02  # and a deleted map's next rows this long
 MOST_ROWS = 32  # inserted by one statement
 CLEAR_ROWS = 50  # rows of a deleted map cleared away at a time
@@ -65,6 +66,7 @@ class SqliteJournal:
         self._condition = threading.Condition()
         self._queue: list[tuple[Entry, object]] = []
         self._derived: list[Derived] = []
+        self._derived_at = 0.0  # when the first of them came
         self._asked = 0  # flushes asked for, and the last of them that was done
         self._flushed = 0
         self._closing = False
@@ -89,8 +91,9 @@ class SqliteJournal:
     def derive(self, derived: Sequence[Derived]) -> None:
         """Keep what was derived with the next group, or before long."""
         with self._condition:
-            self._derived += derived
-            self._condition.notify_all()
+            if not self._derived:
+                self._derived_at = time.monotonic()
+            self._derived += derived  # nobody is woken for it
 
     def flush(self) -> None:
         """Wait until everything queued or derived before is readable."""
@@ -132,10 +135,10 @@ class SqliteJournal:
         def urgent() -> bool:
             return bool(self._queue) or self._closing or self._asked > self._flushed
 
-        if not self._clearing:
-            self._condition.wait_for(lambda: urgent() or bool(self._derived))
         pause = CLEAR_SECONDS if self._clearing else IDLE_SECONDS
-        self._condition.wait_for(urgent, timeout=pause)
+        while not self._condition.wait_for(urgent, timeout=pause) and not self._clearing:
+            if self._derived and time.monotonic() - self._derived_at >= IDLE_SECONDS:
+                break
 
     def _write_group(
         self,

@@ -89,6 +89,21 @@ def test_one_client_alone_costs_one_sync_a_batch(tmp_path: Path, monkeypatch: py
     run(test)
 
 
+def test_a_repeat_is_answered_though_the_first_sender_is_gone(tmp_path: Path) -> None:
+    async def test() -> None:
+        async with running(tmp_path) as engine:
+            hosted = await make(engine)
+            body, following = batches(2, 2)
+            first, again = (asyncio.create_task(send(engine, hosted, body)) for _ in range(2))
+            await asyncio.sleep(0)  # both wait
+            first.cancel()
+            answer = await again
+            assert (answer["sequence"], answer["duplicate"]) == (1, True)
+            assert (await send(engine, hosted, following))["sequence"] == 2
+
+    run(test)
+
+
 @pytest.fixture
 def faulty(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """An estimator with a fault: a landmark named "bug" makes it fail."""

@@ -25,7 +25,7 @@ from service.store.base import (
     StoreError,
 )
 from service.store.migrations import load_migrations
-from service.store.sqlite import SqliteJournal
+from service.store.sqlite import MOST_ROWS, SqliteJournal
 
 STORES: dict[str, Callable[[Path], Journal]] = {"sqlite": SqliteJournal}
 
@@ -149,6 +149,17 @@ def test_a_deleted_map_frees_its_id_and_never_its_key(opened: Opened) -> None:
     assert list(opened.journal.tracks(1, "r1", -np.inf, np.inf)) == []
     opened.write(DeleteMap(2))
     assert opened.journal.next_key() == 3
+
+
+def test_many_are_kept_at_once_but_those_of_a_deleted_map(opened: Opened) -> None:
+    """Also where their number is no multiple of what one statement takes."""
+    many = range(1, 2 * MOST_ROWS + 8)
+    opened.write(MAP, CreateMap(2, "yard", b"{}"), *(batch(i, i, map_=m) for i in many for m in (1, 2)), DeleteMap(2))
+    opened.journal.derive([derived(i, map_=m) for i in many for m in (1, 2)])
+    opened.journal.flush()
+    assert [event for event, kept in opened.journal.events(1) if kept] == [batch(i, i) for i in many]
+    assert list(opened.journal.tracks(1, "r1", -np.inf, np.inf)) == [derived(i).track for i in many]
+    assert list(opened.journal.tracks(2, "r1", -np.inf, np.inf)) == []
 
 
 def test_a_deleted_map_is_cleared_away(opened: Opened) -> None:

@@ -259,3 +259,5 @@ def test_health(server: Server, api: Api) -> None:
     assert float(figures["submaps_batches_total"]) >= 1
     assert float(figures["submaps_journal_syncs_total"]) >= 1
     assert any("measurements" in name and "_bucket" in name for name in figures)
+    assert float(figures["process_cpu_seconds_total"]) > 0
+    assert float(figures.get("process_resident_memory_bytes", 2**21)) > 2**20  # absent where the system does not say

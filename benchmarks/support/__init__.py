@@ -1,0 +1,1 @@
+"""Worlds, traffic and figures that several benchmarks share."""
