@@ -48,7 +48,7 @@ def hosted_map(request: Request, map_: str) -> Hosted:
 
 def check_name(path: str, name: str) -> None:
     """Raise ``Problem`` (422) unless ``name`` can be that of a map or robot."""
-    if not re.match(NAME, name):
+    if not re.fullmatch(NAME, name):
         raise invalid(path, f"got {name!r}, expected a name like {NAME}")
 
 
