@@ -104,7 +104,7 @@ async def configure_robot(request: Request, map_: MapId, robot: RobotId) -> Resp
     "/{robot}/pose", response_model=PoseAnswer, response_model_exclude_none=True,
     summary="Where a robot is", responses=problems(404, 409, 422),
 )  # fmt: skip
-def show_pose(
+async def show_pose(
     request: Request, map_: MapId, robot: RobotId, query: Annotated[PoseQuery, QueryParameters()]
 ) -> Response:
     """Return a robot's pose with its covariance; 409 where no path of ties leads to the frame."""

@@ -42,7 +42,8 @@ class Link:
 @jit(
     "float64(int64, int64, boolean, int64[::1], int64[::1], int64[::1], int64[::1], float64[::1], float64[::1],"
     "float64[:, ::1], float64[:, ::1], int64[::1], int64[::1], int64[::1], int64[::1], int32[::1],"
-    "float64[::1], float64[::1])"
+    "float64[::1], float64[::1])",
+    unlocked=True,
 )
 def _assemble(
     first: int, last: int, invariant: bool, variable_at: Ints, variables: Ints, estimate_at: Ints,

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@jit("Tuple((int64[::1], int64[::1]))(int64[::1], int64[::1], int64)")
+@jit("Tuple((int64[::1], int64[::1]))(int64[::1], int64[::1], int64)", unlocked=True)
 def _block_pattern(offsets: Ints, members: Ints, count: int) -> tuple[Ints, Ints]:
     """Upper block pattern: for each variable, the variables up to it that share a factor with it."""
     factors_of = np.zeros(count + 1, dtype=np.int64)
@@ -57,7 +57,7 @@ def _block_pattern(offsets: Ints, members: Ints, count: int) -> tuple[Ints, Ints
     return begins, rows[:size].copy()
 
 
-@jit("Tuple((int32[::1], int32[::1], int64[::1]))(int64[::1], int64[::1], int64[::1])")
+@jit("Tuple((int32[::1], int32[::1], int64[::1]))(int64[::1], int64[::1], int64[::1])", unlocked=True)
 def _entries(begins: Ints, rows: Ints, start: Ints) -> tuple[NDArray[np.int32], NDArray[np.int32], Ints]:
     """Column pointers and row indices of the upper triangle; each block's first row within its columns."""
     count = begins.shape[0] - 1
@@ -120,7 +120,7 @@ def scatter(
         at_a += wa
 
 
-@jit("float64[::1](int32[::1], int32[::1], float64[::1], float64[::1])")
+@jit("float64[::1](int32[::1], int32[::1], float64[::1], float64[::1])", unlocked=True)
 def _takahashi(pointers: NDArray[np.int32], indices: NDArray[np.int32], L: Floats, D: Floats) -> Floats:
     """Z = (L D L^T)^-1 on the pattern of L: off-diagonals in L's order, then the diagonal.
 

@@ -152,7 +152,8 @@ def _observe(
     "UniTuple(int64, 2)(int64, boolean, float64[:, ::1], float64[:, :, ::1], int64[::1], int64[::1], int64[::1],"
     "float64[:, ::1], float64[:, :, ::1], uint8[::1], int64[::1], float64[::1], float64[::1], float64[:, ::1],"
     "int64[::1], int64[::1], float64[::1], int32[::1], float64[:, ::1], float64[::1], uint8[::1], float64[:, ::1],"
-    "int32[::1], int64[:, ::1], float64[::1], int64[::1], int64[::1])"
+    "int32[::1], int64[:, ::1], float64[::1], int64[::1], int64[::1])",
+    unlocked=True,
 )
 def walk(
     step: int, resumed: bool, increments: Floats, noises: Floats, control_step: Ints, observation_step: Ints,
