@@ -28,6 +28,7 @@ from service.standalone import own_service
 
 CITY_LIMIT, POSE_LIMIT = 2.0, 5.0
 _QUIET_SECONDS = 1.0
+_MOST_STEPS_A_SECOND = 60_000  # prepared before: made while it runs, requests would stall the sender
 
 
 def city(blocks: int, steps: int, rate: float, rounds: int, console: Console) -> None:
@@ -75,7 +76,7 @@ def pose(robots: int, lap: Lap, steps: int, rate: float, seconds: float, rounds:
                 ("busy", Plan(seconds, queries=rate, warm_up=1.0)),
             ):
                 settle(url, fleet_)
-                prepare(fleet_, Plan(plan.seconds + plan.warm_up, 20_000 / steps))
+                prepare(fleet_, Plan(plan.seconds + plan.warm_up, _MOST_STEPS_A_SECOND / steps))
                 found[name].append(measure(url, fleet_, plan))
                 _check(found[name][-1])
         submaps = sum(counts(url, robot.map)["submaps"] for robot in fleet_)
