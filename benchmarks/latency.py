@@ -3,7 +3,7 @@
 city   One robot sends batches at a steady rate, from a straight street and from all streets of a city
        grid driven twice, each into a fresh service, in turn. The grid closes loops all the time, so
        its atlas is solved again and again. Limit: the grid's p99 at most twice the street's.
-pose   Robots on maps of their own have driven a city; their poses in `map` are asked for at a steady
+pose   Robots on maps of their own drive a street; their poses in `map` are asked for at a steady
        rate, with nothing else to do and then while all of them send batches as fast as answers
        come, in turn. Limit: the p99 under load at most five times the idle one.
 
@@ -132,7 +132,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3, help="rounds of both sides (default: 3)")
     parser.add_argument("--city-rate", type=float, default=200.0, help="batches/s (default: 200)")
     parser.add_argument("--city-steps", type=int, default=5, help="steps a batch, five observations each (default: 5)")
-    parser.add_argument("--pose-world", choices=("grid", "street"), default="grid", help="where (default: grid)")
+    parser.add_argument("--pose-world", choices=("grid", "street"), default="street", help="where (default: street)")
     parser.add_argument("--pose-rate", type=float, default=100.0, help="queries/s (default: 100)")
     parser.add_argument("--pose-steps", type=int, default=200, help="steps a batch under load (default: 200)")
     parser.add_argument("--pose-robots", type=int, default=4, help="robots, each on a map (default: 4)")
