@@ -163,8 +163,17 @@ class Component:
         self._estimate_at = _offsets([e.shape[0] for e in estimates])
         self._informations = np.concatenate([i.ravel() for i in informations])
         self._information_at = _offsets([i.size for i in informations])
+        # One copy of each: the parts are looked up in what the assembly reads.
+        self.parts = [self._laid_out(part, self._upto[f] - 1) for f, part in enumerate(self.parts)]
         widths = np.repeat([3, 2], [self.poses, len(self.landmarks)]).astype(np.int64)
         self.pattern = Pattern(widths, self._variable_at, self._variables)
+
+    def _laid_out(self, part: Part, factor_: int) -> Part:
+        submap, shared, estimate, _ = part
+        d = estimate.shape[0]
+        at, first = self._estimate_at[factor_], self._information_at[factor_]
+        laid_out = self._informations[first : first + d * d].reshape(d, d)
+        return submap, shared, self._estimates[at : at + d], laid_out
 
     def _link_from(self, link: Link) -> int:
         """Row of ``frames`` that a link starts from."""
