@@ -91,11 +91,7 @@ def join(state: AtlasState) -> Solution:
     start, in the frame of the start). Raises ``NumericalError`` where a pivot is not positive.
     """
     last = state.solution
-    known = (
-        {}
-        if last is None
-        else {n: p for root in set(last.roots) for n, p in last.component(root).known_parts().items()}
-    )
+    known = {} if last is None else last.known_parts()
     components = Components(state, () if last is None else last.untied, known)
     solvers = {root: _grow(components.of(robots), last) for root, robots in by_root(state.roots).items()}
     iterations = sum(s.iterations for s in solvers.values())

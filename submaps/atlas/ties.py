@@ -142,7 +142,6 @@ def _squared(d: Floats, covariance: Floats) -> float:
 def _voted(component: Component, inverse: InverseSubset, landmark: int, f: int, untied: Untied, bound: float) -> Untied:
     """``untied`` with a landmark's holders parted: the largest set of them that agrees keeps its ties."""
     holders = component.holders(landmark)
-    number = component.members[f].number
     tied = {k for k in holders if (component.members[k].number, landmark) not in untied and k != f}
     if len(holders) == 2:
         tied = {holders[0]}  # either way neither has the other any more
@@ -152,7 +151,7 @@ def _voted(component: Component, inverse: InverseSubset, landmark: int, f: int, 
             tied = agreeing
     mine = {(component.members[k].number, landmark) for k in holders}
     kept = {(component.members[k].number, landmark) for k in tied}
-    return (untied - mine) | (mine - kept) | (frozenset({(number, landmark)}) - kept)
+    return (untied - mine) | (mine - kept)
 
 
 def _largest_agreeing(

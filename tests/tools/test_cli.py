@@ -7,7 +7,6 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from threading import Thread
@@ -16,19 +15,8 @@ import httpx
 import pytest
 
 from service.commands.console import FAULT, INPUT, REFUSED, UNREACHABLE
-from service.standalone import LISTENING, own_service
-from tests.tools.support import STEPS, submaps, write_rounds
-
-
-@pytest.fixture(scope="module")
-def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_rounds(tmp_path_factory.mktemp("runs") / "Two Rounds.txt")
-
-
-@pytest.fixture(scope="module")
-def url() -> Iterator[str]:
-    with own_service() as address:
-        yield address
+from service.standalone import LISTENING
+from tests.tools.support import STEPS, submaps
 
 
 def free_port() -> int:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,21 +11,9 @@ import pytest
 
 from service.commands.console import INPUT, REFUSED
 from service.datasets.tum import read_tum
-from service.standalone import own_service
 from submaps.config import ObservationConfig
 from tests.tools.fleet import drive, write_mrclam
-from tests.tools.support import submaps, write_rounds
-
-
-@pytest.fixture(scope="module")
-def run_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_rounds(tmp_path_factory.mktemp("runs") / "Two Rounds.txt")
-
-
-@pytest.fixture(scope="module")
-def url() -> Iterator[str]:
-    with own_service() as address:
-        yield address
+from tests.tools.support import submaps
 
 
 @pytest.fixture(scope="module")
