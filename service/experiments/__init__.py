@@ -1,0 +1,1 @@
+"""Experiments: what the documents behind this project claim, seen with one command each."""
