@@ -9,9 +9,11 @@ from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 from submaps.errors import ConfigError
+from submaps.geometry.space import SPACES, Space
 
-MotionModel = Literal["odometry", "velocity", "bicycle", "ackermann"]
-ObservationModel = Literal["cartesian", "range_bearing"]
+SpaceName = Literal["se2", "se3"]
+MotionModel = Literal["odometry", "velocity", "bicycle", "ackermann", "odometry3d", "none"]
+ObservationModel = Literal["cartesian", "range_bearing", "bearing", "cartesian3d", "stereo", "pinhole"]
 FilterName = Literal["invariant", "standard"]
 Noise = Literal["reading", "density"]
 
@@ -20,13 +22,28 @@ MOTION_CHANNELS: dict[str, tuple[str, ...]] = {
     "velocity": ("v", "omega"),
     "bicycle": ("speed", "steer"),
     "ackermann": ("speed", "steer"),
+    "odometry3d": ("dx", "dy", "dz", "rx", "ry", "rz"),
+    "none": (),
 }
 VEHICLES = ("bicycle", "ackermann")  # the models that steer a wheel
-_SIGMAS = {"odometry": (3,), "velocity": (2, 3), "bicycle": (2,), "ackermann": (2, 3)}
+_SIGMAS = {
+    "odometry": (3,), "velocity": (2, 3), "bicycle": (2,), "ackermann": (2, 3), "odometry3d": (6,), "none": (0,)
+}  # fmt: skip
 OBSERVATION_CHANNELS: dict[str, tuple[str, ...]] = {
     "cartesian": ("x", "y"),
     "range_bearing": ("range", "bearing"),
+    "bearing": ("bearing",),
+    "cartesian3d": ("x", "y", "z"),
+    "stereo": ("u_left", "v_left", "u_right", "v_right"),
+    "pinhole": ("u", "v"),
 }
+# Which models are of which space; without motion, a map is of points that each reading shows whole.
+_MOTIONS = {"se2": ("odometry", "velocity", "bicycle", "ackermann"), "se3": ("odometry3d", "none")}
+_OBSERVATIONS = {"se2": ("cartesian", "range_bearing", "bearing"), "se3": ("cartesian3d", "stereo", "pinhole")}
+WITHOUT_MOTION = ("cartesian3d", "stereo")
+CAMERAS = ("stereo", "pinhole")
+# A single reading of these leaves the depth open: a new landmark needs a prior.
+WITHOUT_DEPTH = ("bearing", "pinhole")
 
 
 @dataclass(frozen=True)
@@ -37,7 +54,9 @@ class MotionConfig:
     third, the lateral slip in m/s. ``bicycle``: (speed m/s, steer rad) of the front wheel,
     ``wheelbase`` m ahead of the rear one. ``ackermann``: (speed m/s, steer rad), with an optional
     lateral slip in m/s; the speed is that of an encoder ``encoder_offset`` m to the left of the
-    middle of the rear axle, the steer that of a wheel ``wheelbase`` m ahead of it.
+    middle of the rear axle, the steer that of a wheel ``wheelbase`` m ahead of it. ``odometry3d``:
+    (dx m, dy m, dz m, rx rad, ry rad, rz rad), the last three a rotation vector. ``none``: nothing is
+    known of the motion; each pose is found from what is seen there.
 
     With ``noise`` "density", ``sigma`` is per root second: an increment's variance is sigma² dt, so
     that an interval may be split.
@@ -70,22 +89,75 @@ class MotionConfig:
 
 
 @dataclass(frozen=True)
+class Camera:
+    """A calibrated pinhole camera: focal lengths and principal point in pixels; of a pair, the baseline in m.
+
+    The sensor's z axis looks ahead, x to the right, y down; the right camera lies ``baseline`` along x.
+    """
+
+    fu: float
+    fv: float
+    cu: float
+    cv: float
+    baseline: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_numbers("observation.camera", (self.fu, self.fv), (2,), above=0.0)
+        _check_numbers("observation.camera", (self.cu, self.cv), (2,))
+        _check_numbers("observation.camera.baseline", (self.baseline,), (1,), least=0.0)
+
+
+@dataclass(frozen=True)
+class Depth:
+    """The prior of a new landmark's depth: normal, ``mean`` m and ``sigma`` m."""
+
+    mean: float
+    sigma: float
+
+    def __post_init__(self) -> None:
+        _check_numbers("observation.depth", (self.mean, self.sigma), (2,), above=0.0)
+
+
+@dataclass(frozen=True)
 class ObservationConfig:
     """An observation model, its standard deviation, and the sensor's pose in the body frame.
 
-    ``cartesian``: (m, m). ``range_bearing``: (m, rad). ``mount``: (x m, y m, theta rad).
+    ``cartesian``: (m, m). ``range_bearing``: (m, rad). ``bearing``: (rad). ``cartesian3d``: (m, m, m).
+    ``stereo``: (u_left, v_left, u_right, v_right), pixels. ``pinhole``: (u, v), pixels. ``mount``: (x m,
+    y m, theta rad), in space (x m, y m, z m, qx, qy, qz, qw). The last two have a ``camera``; ``bearing``
+    and ``pinhole`` a prior on ``depth``: the range, or the distance ahead.
     """
 
     model: ObservationModel
     sigma: tuple[float, ...]
-    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mount: tuple[float, ...] = ()
+    camera: Camera | None = None
+    depth: Depth | None = None
 
     def __post_init__(self) -> None:
         _check_choice("observation.model", self.model, get_args(ObservationModel))
-        _check_numbers("observation.sigma", self.sigma, (2,), above=0.0)
-        _check_numbers("observation.mount", self.mount, (3,))
+        _check_numbers("observation.sigma", self.sigma, (len(self.channels),), above=0.0)
         object.__setattr__(self, "sigma", tuple(float(s) for s in self.sigma))
-        object.__setattr__(self, "mount", tuple(float(m) for m in self.mount))
+        planar = self.model in _OBSERVATIONS["se2"]
+        mount = self.mount or ((0.0,) * 3 if planar else (0.0,) * 6 + (1.0,))
+        _check_numbers("observation.mount", mount, (3 if planar else 7,))
+        object.__setattr__(self, "mount", tuple(float(m) for m in mount))
+        if not planar and not abs(math.hypot(*self.mount[3:]) - 1.0) < 1e-6:
+            raise ConfigError("observation.mount", self.mount, "a unit quaternion (x, y, z, w) after x, y, z")
+        self._check_camera()
+        needs = self.model in WITHOUT_DEPTH
+        if needs != (self.depth is not None):
+            expected = f"a mean and sigma in m, for {self.model}" if needs else f"none, as {self.model} shows it"
+            raise ConfigError("observation.depth", self.depth, expected)
+
+    def _check_camera(self) -> None:
+        needs = self.model in CAMERAS
+        if needs != (self.camera is not None):
+            expected = f"fu, fv, cu, cv for {self.model}" if needs else f"none for {self.model}"
+            raise ConfigError("observation.camera", self.camera, expected)
+        if self.camera is not None and (self.camera.baseline > 0.0) != (self.model == "stereo"):
+            expected = "m, above 0, for stereo" if self.model == "stereo" else f"none for {self.model}"
+            raise ConfigError("observation.camera.baseline", self.camera.baseline, expected)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -112,8 +184,11 @@ class MapConfig:
     max_heading_sigma: float = 0.010
     min_observed_steps: int = 5
     max_position_sigma: float = 0.15
+    space: SpaceName = "se2"
 
     def __post_init__(self) -> None:
+        _check_choice("space", self.space, get_args(SpaceName))
+        check_models(self.space, self.motion, self.observation)
         _check_choice("filter", self.filter, get_args(FilterName))
         if self.gate is not None and not 0.0 < self.gate < 1.0:
             raise ConfigError("association.gate", self.gate, "null or a probability in (0, 1)")
@@ -126,27 +201,42 @@ class MapConfig:
         if not 1 <= self.min_observed_steps <= 1_000_000:
             raise ConfigError("submap.min_observed_steps", self.min_observed_steps, "an integer in 1..1000000")
 
+    @property
+    def geometry(self) -> Space:
+        """The plane or space, as a value."""
+        return SPACES[self.space]
+
+
+def check_models(space: str, motion: MotionConfig, observation: ObservationConfig) -> None:
+    """Raise ``ConfigError`` where a model is not one of the map's space, or does not go with the other."""
+    _check_choice("motion.model", motion.model, _MOTIONS[space], f" in {space}")
+    _check_choice("observation.model", observation.model, _OBSERVATIONS[space], f" in {space}")
+    if motion.model == "none":
+        _check_choice("observation.model", observation.model, WITHOUT_MOTION, " without a motion model")
+
 
 @dataclass(frozen=True)
 class Start:
     """Where a robot's first pose lies, as far as its operator knows.
 
-    ``pose`` (x m, y m, theta rad) in ``frame`` (``map`` or ``submap/k``), with the (3, 3)
-    ``covariance`` of its additive errors, symmetric and positive definite.
+    ``pose`` (x m, y m, theta rad; in space x, y, z m and a rotation vector, rad) in ``frame`` (``map`` or
+    ``submap/k``), with the ``covariance`` (3, 3) or (6, 6) of its additive errors, symmetric and positive
+    definite.
     """
 
     frame: str
-    pose: tuple[float, float, float]
-    covariance: tuple[tuple[float, float, float], ...]
+    pose: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"map|submap/\d{1,9}", self.frame):
             raise ConfigError("start.frame", self.frame, "map or submap/NUMBER")
-        _check_numbers("start.pose", self.pose, (3,))
-        if len(self.covariance) != 3:
-            raise ConfigError("start.covariance", self.covariance, "3 rows of 3 numbers")
+        _check_numbers("start.pose", self.pose, (3, 6))
+        size = len(self.pose)
+        if len(self.covariance) != size:
+            raise ConfigError("start.covariance", self.covariance, f"{size} rows of {size} numbers")
         for row in self.covariance:
-            _check_numbers("start.covariance", row, (3,))
+            _check_numbers("start.covariance", row, (size,))
         if not _is_positive_definite(self.covariance):
             raise ConfigError("start.covariance", self.covariance, "a symmetric positive definite matrix")
 
@@ -165,21 +255,22 @@ Models = MapConfig | RobotConfig
 
 
 def _is_positive_definite(matrix: Sequence[Sequence[float]]) -> bool:
-    """Whether a (3, 3) matrix equals its transpose and every pivot of its elimination is positive."""
-    symmetric = all(matrix[i][j] == matrix[j][i] for i in range(3) for j in range(i))
+    """Whether a matrix equals its transpose and every pivot of its elimination is positive."""
+    size = len(matrix)
+    symmetric = all(matrix[i][j] == matrix[j][i] for i in range(size) for j in range(i))
     rest = [list(row) for row in matrix]
-    for k in range(3):
+    for k in range(size):
         if not rest[k][k] > 0.0:
             return False
-        for i in range(k + 1, 3):
-            for j in range(k + 1, 3):
+        for i in range(k + 1, size):
+            for j in range(k + 1, size):
                 rest[i][j] -= rest[i][k] * rest[k][j] / rest[k][k]
     return symmetric
 
 
-def _check_choice(name: str, got: object, known: Sequence[str]) -> None:
+def _check_choice(name: str, got: object, known: Sequence[str], where: str = "") -> None:
     if got not in known:
-        raise ConfigError(name, got, "one of " + ", ".join(known))
+        raise ConfigError(name, got, "one of " + ", ".join(known) + where)
 
 
 def _check_numbers(

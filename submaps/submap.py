@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from submaps._jit import jit
 from submaps.filtering import layout
 from submaps.filtering.closing import CLOSED, STEP, Shelf, flush, pack
-from submaps.geometry.se2 import Pose, compose
+from submaps.geometry.space import PLANE, SOLID, Pose, Space
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +37,8 @@ class Submap:
     Most of a map's memory is these, so nothing that can be had again is kept in them.
 
     ``mean`` is (x m, y m, theta rad, l_1x, l_1y, ...) in the sub-map's own frame: the pose at its
-    end, then its landmarks, of which ``landmarks`` holds the map's numbers. ``packed`` is the lower
+    end, then its landmarks, of which ``landmarks`` holds the map's numbers; in space (x m, y m, z m,
+    rotation vector rad, l_1x, l_1y, l_1z, ...). ``packed`` is the lower
     triangle, row by row, of the covariance in the filter's own error (see ``filtering.kernel``).
     """
 
@@ -65,9 +66,15 @@ class Submap:
         return self.following < 0
 
     @property
+    def space(self) -> Space:
+        """The plane or space that it lies in."""
+        plane = self.mean.shape[0] == PLANE.pose + PLANE.dim * self.landmarks.shape[0]
+        return PLANE if plane else SOLID
+
+    @property
     def pose(self) -> Pose:
-        """The pose (x m, y m, theta rad) at its end, in its own frame."""
-        return float(self.mean[0]), float(self.mean[1]), float(self.mean[2])
+        """The pose at its end, in its own frame."""
+        return self.space.as_pose(self.mean)
 
     @property
     def nbytes(self) -> int:
@@ -76,11 +83,13 @@ class Submap:
 
     def slots(self) -> dict[int, int]:
         """Place of each landmark (by the map's number) in ``mean``."""
-        return {number: 3 + 2 * i for i, number in enumerate(self.landmarks.tolist())}
+        space = self.space
+        return {number: space.pose + space.dim * i for i, number in enumerate(self.landmarks.tolist())}
 
     def slot_of(self, landmark: int) -> int:
         """Place of one landmark in ``mean``; it must hold it."""
-        return 3 + 2 * int(np.flatnonzero(self.landmarks == landmark)[0])
+        space = self.space
+        return space.pose + space.dim * int(np.flatnonzero(self.landmarks == landmark)[0])
 
     def holds(self, landmark: int) -> bool:
         """Whether a landmark (by the map's number) is in it."""
@@ -149,7 +158,7 @@ class ActiveSubmap:
     def pose(self) -> Pose:
         """The robot's pose now (x m, y m, theta rad), in this sub-map's frame."""
         x, d = self.x, self.motion
-        return compose((x[0], x[1], x[2]), (d[0], d[1], d[2]))
+        return PLANE.compose((x[0], x[1], x[2]), (d[0], d[1], d[2]))
 
     @property
     def landmark_count(self) -> int:
