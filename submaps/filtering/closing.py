@@ -9,7 +9,6 @@ from submaps._jit import jit
 from submaps.filtering.layout import COUNTS, DIM, INVARIANT, MOTIONLESS, NIS_COUNT, NIS_SUM
 from submaps.filtering.passes import add
 from submaps.filtering.predicting import predict
-from submaps.filtering.workspace import Workspace, workspace
 from submaps.geometry.space import Key
 
 Floats = NDArray[np.float64]
@@ -29,11 +28,9 @@ CLOSED, REALS, IDS = 0, 1, 2
 
 
 @jit()
-def _take_in(
-    space: Key, x: Floats, P: Floats, n: int, motion: Floats, invariant: int, scratch: Floats, w: Workspace
-) -> None:
+def _take_in(space: Key, x: Floats, P: Floats, n: int, motion: Floats, invariant: int, scratch: Floats) -> None:
     U = scratch[: 2 * len(space) - 3]
-    if predict(space, x, P, n, motion, invariant, U, w):
+    if predict(space, x, P, n, motion, invariant, U):
         add(space, P, n, U)
 
 
@@ -43,7 +40,7 @@ def _take_in(
 )
 def flush(space: Key, x: Floats, P: Floats, counts: Ints, motion: Floats, invariant: int, scratch: Floats) -> None:
     """Predict with the pending increment and clear it, on x, P and ``motion`` in place."""
-    _take_in(space, x, P, counts[DIM], motion, invariant, scratch, workspace(space))
+    _take_in(space, x, P, counts[DIM], motion, invariant, scratch)
 
 
 @jit(
@@ -105,7 +102,7 @@ def forget_pose(space: Key, P: Floats, n: int, position_variance: float, rotatio
 @jit()
 def close(
     space: Key, step: int, x: Floats, P: Floats, ids: Ints, counts: Ints, motion: Floats, settings: Ints,
-    slot_of: NDArray[np.int32], scratch: Floats, whole: Ints, reals: Floats, numbers: Ints, fill: Ints, w: Workspace,
+    slot_of: NDArray[np.int32], scratch: Floats, whole: Ints, reals: Floats, numbers: Ints, fill: Ints,
 ) -> bool:  # fmt: skip
     """Predict to the present pose, put the sub-map on the shelf, and begin the next; false without room."""
     n = counts[DIM]
@@ -114,7 +111,7 @@ def close(
     size = n + n * (n + 1) // 2 + 2
     if row == whole.shape[0] or at + size > reals.shape[0] or first + held > numbers.shape[0]:
         return False
-    _take_in(space, x, P, n, motion, settings[INVARIANT], scratch, w)
+    _take_in(space, x, P, n, motion, settings[INVARIANT], scratch)
     if settings[MOTIONLESS]:
         # The pose is a guess at where the next sub-map begins, from readings that go into that one.
         forget_pose(space, P, n, FLAT_POSITION_M**2, FLAT_ROTATION_RAD**2)
