@@ -5,6 +5,7 @@ Randomness comes from the generator that is handed in, so a seed names a run.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,7 +47,7 @@ class Flight:
 def loops(rng: np.random.Generator, landmarks: int = 300, steps: int = 500, share: float = 0.05) -> Volume:
     """Two and a half rounds of 20 m radius that rise and fall, among points scattered around the way.
 
-    1.57 m a step round the circle, 2.5 m up and down seven times a round, landmarks within 5 m of the way along each axis,
+    Rising and falling by 2.5 m seven times a round; landmarks lie within 5 m of the way along each axis and are
     seen within 5 m.
     """
     rounds, radius = 2.5, 20.0
@@ -54,7 +55,7 @@ def loops(rng: np.random.Generator, landmarks: int = 300, steps: int = 500, shar
     path = np.stack([radius * np.sin(angle), radius * (1.0 - np.cos(angle)), 2.5 * np.sin(7.0 * angle / rounds)], 1)
     poses = [_looking(path[k], path[k + 1]) for k in range(steps)]
     poses.append((*path[-1], *poses[-1][3:]))
-    increments = np.array([SOLID.between(a, b) for a, b in zip(poses[:-1], poses[1:], strict=True)])
+    increments = np.array([SOLID.between(a, b) for a, b in itertools.pairwise(poses)])
     around = path[rng.integers(0, steps, landmarks)] + rng.uniform(-5.0, 5.0, (landmarks, 3))
     local = np.array([SOLID.transform(SOLID.inverse(poses[0]), point) for point in around])
     return Volume(local, increments, 5.0, share)
