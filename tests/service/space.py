@@ -26,8 +26,8 @@ CAMERA = {"fu": 400.0, "fv": 410.0, "cu": 320.0, "cv": 240.0}
 POINTS: Json = {"model": "cartesian3d", "sigma": [POINT_SIGMA] * 3, "mount": [0.0, 0.1, 0.3, 0.0, 0.0, 0.6, 0.8]}
 STEREO: Json = {"model": "stereo", "sigma": [PIXEL_SIGMA] * 4, "mount": AHEAD, "camera": CAMERA | {"baseline": 0.3}}
 PINHOLE: Json = {
-    "model": "pinhole", "sigma": [PIXEL_SIGMA] * 2, "mount": AHEAD, "camera": CAMERA,
-    "depth": {"mean": 6.0, "sigma": 3.0},
+    "model": "pinhole", "sigma": [4.0 * PIXEL_SIGMA] * 2, "mount": AHEAD, "camera": CAMERA,
+    "depth": {"mean": 4.0, "sigma": 1.5},
 }  # fmt: skip
 BEARING_MAP: Json = {
     "motion": ODOMETRY_MAP["motion"],
@@ -70,9 +70,9 @@ def pose_at(k: int) -> Pose:
     return (RADIUS * np.cos(turn), RADIUS * np.sin(turn), 0.8 * np.sin(2.0 * turn), *rotation)
 
 
-def truth(count: int) -> list[Pose]:
-    """The true poses after each step, in the frame of the first pose."""
-    return [SOLID.between(pose_at(0), pose_at(k + 1)) for k in range(count)]
+def truth(count: int, origin: int = 0) -> list[Pose]:
+    """The true poses after each step, in the frame of the pose at step ``origin``."""
+    return [SOLID.between(pose_at(origin), pose_at(k + 1)) for k in range(count)]
 
 
 @cache

@@ -102,7 +102,7 @@ def test_mounts_cameras_and_depths_as_the_estimator_has_them() -> None:
     core = core_of(space_map(PINHOLE)).observation
     assert core.mount == tuple(PINHOLE["mount"])
     assert core.camera == Camera(400.0, 410.0, 320.0, 240.0)
-    assert core.depth == Depth(6.0, 3.0)
+    assert core.depth == Depth(4.0, 1.5)
     assert core_of(BEARING_MAP).observation == ObservationConfig("bearing", (0.02,), depth=Depth(8.0, 4.0))
     assert core_of(space_map(STEREO, NO_MOTION)).motion == MotionConfig("none", ())
 
