@@ -208,11 +208,9 @@ def test_comments_say_the_names_of_the_landmarks(graph: nx.DiGraph) -> None:
 
 SQUARE_ROOT = np.random.default_rng(6).normal(size=(6, 6))
 FRAMES: list[Pose] = [SOLID.origin, (1.0, 2.0, 0.5, 0.3, -0.8, 1.4)]
-SPACE_EDGE: dict[str, Any] = {
-    "z": (1.1, 1.9, 0.4, 0.25, -0.85, 1.45),
-    "covariance": (SQUARE_ROOT @ SQUARE_ROOT.T).tolist(),
-}
-SEEN_EDGE: dict[str, Any] = {"z": (0.5, -0.25, 2.0), "covariance": [[0.5, 0.1, 0.0], [0.1, 0.4, 0.0], [0.0, 0.0, 0.25]]}
+SPREAD = SQUARE_ROOT @ SQUARE_ROOT.T
+SPACE_EDGE: dict[str, Any] = {"z": (1.1, 1.9, 0.4, 0.25, -0.85, 1.45), "covariance": SPREAD.tolist()}
+SEEN_EDGE: dict[str, Any] = {"z": (0.5, -0.25, 2.0), "covariance": [[0.5, 0.1, 0], [0.1, 0.4, 0], [0, 0, 0.25]]}
 
 
 @pytest.fixture(scope="module")
