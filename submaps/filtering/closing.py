@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
+from submaps.filtering.forgetting import replace_pose
 from submaps.filtering.layout import COUNTS, DIM, INVARIANT, MOTIONLESS, NIS_COUNT, NIS_SUM
 from submaps.filtering.passes import add
 from submaps.filtering.predicting import predict
@@ -20,7 +21,7 @@ POSITION_FLOOR_M = 1e-4
 HEADING_FLOOR_RAD = 2e-7
 # How little an exit pose says where nothing is known of the motion: beside a landmark's centimetres, nothing.
 FLAT_POSITION_M = 1e3
-FLAT_ROTATION_RAD = 1e3
+FLAT_ROTATION_RAD = 10.0
 # Places in a row of ``Shelf.whole`` after the counts: the step at which the sub-map closed.
 STEP, ROW = COUNTS, COUNTS + 1
 # Places in ``Shelf.fill``: sub-maps, reals, ids.
@@ -89,17 +90,6 @@ def begin(space: Key, x: Floats, P: Floats, counts: Ints, motion: Floats) -> Non
 
 
 @jit()
-def forget_pose(space: Key, P: Floats, n: int, position_variance: float, rotation_variance: float) -> None:
-    """Give the pose a covariance of its own, with no correlation to anything: what a flat prior leaves."""
-    dim, pose = len(space), 3 * len(space) - 3
-    for i in range(pose):
-        for j in range(n):
-            P[i, j] = 0.0
-            P[j, i] = 0.0
-        P[i, i] = position_variance if i < dim else rotation_variance
-
-
-@jit()
 def close(
     space: Key, step: int, x: Floats, P: Floats, ids: Ints, counts: Ints, motion: Floats, settings: Ints,
     slot_of: NDArray[np.int32], scratch: Floats, whole: Ints, reals: Floats, numbers: Ints, fill: Ints,
@@ -112,9 +102,12 @@ def close(
     if row == whole.shape[0] or at + size > reals.shape[0] or first + held > numbers.shape[0]:
         return False
     _take_in(space, x, P, n, motion, settings[INVARIANT], scratch)
-    if settings[MOTIONLESS]:
+    if len(space) == 3 and settings[MOTIONLESS] != 0:
         # The pose is a guess at where the next sub-map begins, from readings that go into that one.
-        forget_pose(space, P, n, FLAT_POSITION_M**2, FLAT_ROTATION_RAD**2)
+        flat = np.zeros((6, 6))
+        for i in range(3):
+            flat[i, i], flat[3 + i, 3 + i] = FLAT_POSITION_M**2, FLAT_ROTATION_RAD**2
+        replace_pose(x, P, n, settings[INVARIANT] != 0, flat)
     reals[at : at + n] = x[:n]
     pack(space, P, n, reals[at + n : at + size - 2])
     reals[at + size - 2] = motion[NIS_SUM]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
+from submaps.filtering.forgetting import replace_pose
 from submaps.filtering.kernel import linearise
 from submaps.filtering.layout import SENSOR
 from submaps.filtering.workspace import GAIN, INNOVATION, NOISE, POINT, TURNING
@@ -37,8 +38,8 @@ _entries = so3.entries
 
 @jit()
 def relocalise(
-    space: Key, x: Floats, P: Floats, n: int, begin: int, end: int, landmark: Ints, z: Floats, R: Floats,
-    model: int, real: Floats, slot_of: NDArray[np.int32], w: Floats,
+    space: Key, x: Floats, P: Floats, n: int, invariant: bool, begin: int, end: int, landmark: Ints, z: Floats,
+    R: Floats, model: int, real: Floats, slot_of: NDArray[np.int32], w: Floats,
 ) -> bool:  # fmt: skip
     """Put the pose where one step's readings of known landmarks say, with a wide prior; false where they do not.
 
@@ -67,11 +68,8 @@ def relocalise(
         if size < _SETTLED:
             break
     x[:6] = state[:6]
-    for i in range(6):
-        for j in range(n):
-            P[i, j] = 0.0
-            P[j, i] = 0.0
-    _wide_prior(L, P)
+    _wide_prior(L, information)
+    replace_pose(x, P, n, invariant, information)
     return True
 
 
@@ -149,16 +147,16 @@ def _move(state: Floats, step: Floats) -> float:
 
 
 @jit()
-def _wide_prior(L: Floats, P: Floats) -> None:
-    """The pose's block of P <- (L L^T)^-1, many times over."""
+def _wide_prior(L: Floats, out: Floats) -> None:
+    """out <- (L L^T)^-1 (6, 6), many times over."""
     unit = np.empty(6)
     for j in range(6):
         unit[:] = 0.0
         unit[j] = _WIDER
         _solve(L, unit)
         for i in range(j, 6):
-            P[i, j] = unit[i]
-            P[j, i] = unit[i]
+            out[i, j] = unit[i]
+            out[j, i] = unit[i]
 
 
 @jit()

@@ -136,7 +136,9 @@ def _located(
     """Whether the robot's pose is known before a step's observations; without motion, they have to say it."""
     if len(space) == 2 or whole[MOTIONLESS] == 0 or counts[DIM] == 6:
         return True
-    return relocalise(space, x, P, counts[DIM], begin, end, landmark, z, R, whole[MODEL], real, slot_of, w)
+    return relocalise(
+        space, x, P, counts[DIM], whole[INVARIANT] != 0, begin, end, landmark, z, R, whole[MODEL], real, slot_of, w
+    )
 
 
 @jit()
