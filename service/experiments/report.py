@@ -55,10 +55,10 @@ def write_picture(outcome: Outcome, path: Path) -> None:
 
     from service.exporters.picture import FAINT, INK, PAPER
 
-    style = {
+    style: Any = {
         "axes.facecolor": PAPER, "axes.edgecolor": FAINT, "axes.labelcolor": INK, "axes.titlecolor": INK,
         "axes.titlesize": 11, "axes.titlelocation": "left", "axes.grid": True, "axes.axisbelow": True,
-        "grid.color": INK, "grid.alpha": 0.1, "grid.linewidth": 0.7, "text.color": INK,
+        "grid.color": INK + "1c", "grid.linewidth": 0.7, "text.color": INK,
         "xtick.color": FAINT, "ytick.color": FAINT, "xtick.labelcolor": INK, "ytick.labelcolor": INK,
         "legend.frameon": False, "legend.fontsize": 9,
     }  # fmt: skip

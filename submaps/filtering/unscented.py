@@ -50,7 +50,45 @@ class Scaling:
     beta: float = 2.0
     kappa: float = 0.0
 
-    def offsets(covariance: Floats, spread: float) -> Floats | None:
+    def weights(self, dimension: int) -> Weights:
+        """W₀^(m) = λ/(L + λ), W₀^(c) = W₀^(m) + 1 − α² + β, W_k = 1/(2(L + λ)), λ = α²(L + κ) − L.
+
+        Raises ``ConfigError`` where L + λ = α²(L + κ) is not above zero.
+        """
+        total = self.alpha**2 * (dimension + self.kappa)  # L + λ
+        if not 0.0 < total < np.inf:
+            raise ConfigError("scaling", self, f"alpha² ({dimension} + kappa) above 0 and finite")
+        mean = np.full(2 * dimension + 1, 0.5 / total)
+        mean[0] = (total - dimension) / total
+        covariance = mean.copy()
+        covariance[0] += 1.0 - self.alpha**2 + self.beta
+        return Weights(mean, covariance, float(np.sqrt(total)))
+
+
+@dataclass(frozen=True)
+class Predicted(Generic[State]):
+    """A state and its covariance (L, L) after a motion; ``positive`` is false where P had no Cholesky factor."""
+
+    state: State
+    covariance: Floats
+    positive: bool
+
+
+@dataclass(frozen=True)
+class Updated(Generic[State]):
+    """A state and its covariance (L, L) after a measurement, its innovation (d,) and that one's covariance.
+
+    ``positive`` is false where P or S had no Cholesky factor: then the state is the one before.
+    """
+
+    state: State
+    covariance: Floats
+    innovation: Floats
+    innovation_covariance: Floats
+    positive: bool
+
+
+def offsets(covariance: Floats, spread: float) -> Floats | None:
     """Tangents (2L + 1, L) of the sigma points: 0 and ± the columns of ``spread`` times a Cholesky factor (eq. 7).
 
     None where the covariance has no such factor.
@@ -65,7 +103,7 @@ class Scaling:
 def cholesky(matrix: Floats) -> Floats | None:
     """The lower Cholesky factor, or None where the matrix is not positive definite or not finite."""
     try:
-        factor: Floats = np.linalg.cholesky(matrix)
+        factor = np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
     return factor if np.all(np.isfinite(factor)) else None
@@ -86,7 +124,7 @@ def mean_of(
         # The weights sum to 1; W_0 may be minus a million and is not to meet what it cancels.
         step = error[0] + weight[1:] @ (error[1:] - error[0])
         mean = retract(mean, step)
-        if float(np.abs(step).max()) <= 1e-14:
+        if float(np.abs(step).max()) <= 1e-9:
             break
     return mean
 

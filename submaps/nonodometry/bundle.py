@@ -60,7 +60,7 @@ def adjust(sensor: Sensor, z: Floats, points: Floats, poses: Poses, rounds: int 
         if factor is None:
             damping = max(10.0 * damping, _FIRST)
         else:
-            step = np.linalg.solve(system.information, system.gradient)
+            step: Floats = np.linalg.solve(system.information, system.gradient).astype(np.float64)
             moved, turned = _move(system, step, points, poses)
             after = _cost(sensor, z, moved, turned)
             last = float(step @ system.information @ step) < _DECREMENT * len(step) and np.isfinite(after)
@@ -94,7 +94,7 @@ def _reduce(sensor: Sensor, z: Floats, points: Floats, poses: Poses, damping: fl
     normal = transposed @ Hx
     normal *= 1.0 + damping * np.eye(6)
     normal[-1, 5, 5] += 1.0  # the direction that is not there
-    own = np.linalg.inv(normal)
+    own = np.linalg.inv(normal).astype(np.float64)
     cross = np.einsum("jdkp,jdki->jpki", Hx.reshape(count - 1, d, k, 6), H[1:]).reshape(count - 1, 6, 3 * k)
     pose_gradient = (transposed @ view.residual[1:, :, np.newaxis])[..., 0]
     gradient = np.einsum("jdki,jdk->ki", H, residual).ravel()

@@ -105,20 +105,19 @@ def linearise(sensor: Sensor, poses: Poses, points: Floats, z: Floats) -> Linear
     y = poses.to_body(points)
     jacobian = sensor.jacobian(y) / sensor.sigma[:, np.newaxis, np.newaxis]
     count, d, _, n = jacobian.shape
-    by_body = np.moveaxis(_by_pose(jacobian, y), 2, 3).reshape(count, 2 * d * n, 3)
+    by_body = np.moveaxis(_by_pose(jacobian, y, np.empty((count, d, 6, n))), 2, 3).reshape(count, 2 * d * n, 3)
     by_pose = (by_body @ np.swapaxes(poses.rotation, -1, -2)).reshape(count, d * n, 6)
     residual = (np.swapaxes(z, -1, -2) - sensor.observe(y)) / sensor.sigma[:, np.newaxis]
     return Linearised(residual.reshape(count, d * n), by_pose, -by_pose[..., :3])
 
 
-def _by_pose(jacobian: Floats, y: Floats) -> Floats:
+def _by_pose(jacobian: Floats, y: Floats, out: Floats) -> Floats:
     """[−dh/dy, dh/dy S(y)] (..., d, 6, n): dh by the pose's motion along the body's own axes."""
-    found = np.empty((*jacobian.shape[:-2], 6, jacobian.shape[-1]))
-    np.negative(jacobian, out=found[..., :3, :])
+    np.negative(jacobian, out=out[..., :3, :])
     a, b, c = (jacobian[..., k, :] for k in range(3))
     u, v, w = (y[..., np.newaxis, k, :] for k in range(3))
-    found[..., 3, :], found[..., 4, :], found[..., 5, :] = b * w - c * v, c * u - a * w, a * v - b * u
-    return found
+    out[..., 3, :], out[..., 4, :], out[..., 5, :] = b * w - c * v, c * u - a * w, a * v - b * u
+    return out
 
 
 def _at(sensor: Sensor, points: Floats, seen: Floats, poses: Poses) -> _Problems:
@@ -132,14 +131,16 @@ def _at(sensor: Sensor, points: Floats, seen: Floats, poses: Poses) -> _Problems
 
 
 def _normal_equations(sensor: Sensor, here: _Problems) -> tuple[Floats, Floats]:
-    """HₓᵀR⁻¹Hₓ (B, 6, 6) and HₓᵀR⁻¹(z − h) (B, 6), along the body's axes."""
-    H = _by_pose(sensor.jacobian(here.y) / sensor.sigma[:, np.newaxis, np.newaxis], here.y)
-    normal, gradient = np.zeros((len(H), 6, 6)), np.zeros((len(H), 6, 1))
-    for k in range(H.shape[1]):
-        part = H[:, k]
-        normal += part @ np.swapaxes(part, -1, -2)
-        gradient += part @ here.residual[:, k, :, np.newaxis]
-    return normal, gradient[..., 0]
+    """HₓᵀR⁻¹Hₓ (B, 6, 6) and HₓᵀR⁻¹(z − h) (B, 6), along the body's axes: blocks of one product with itself."""
+    jacobian = sensor.jacobian(here.y) / sensor.sigma[:, np.newaxis, np.newaxis]
+    count, d, _, n = jacobian.shape
+    rows = np.empty((count, d, 7, n))
+    _by_pose(jacobian, here.y, out=rows[:, :, :6])
+    rows[:, :, 6] = here.residual
+    product = rows[:, 0] @ np.swapaxes(rows[:, 0], -1, -2)
+    for k in range(1, d):
+        product += rows[:, k] @ np.swapaxes(rows[:, k], -1, -2)
+    return product[:, :6, :6], product[:, :6, 6]
 
 
 def _steps(normal: Floats, gradient: Floats, damping: Floats) -> tuple[Floats, Floats]:
@@ -148,7 +149,7 @@ def _steps(normal: Floats, gradient: Floats, damping: Floats) -> tuple[Floats, F
     diagonal = damped.reshape(-1, 36)[:, ::7]
     floor = 1e-14 * diagonal.sum(axis=-1, keepdims=True) + np.finfo(np.float64).tiny
     diagonal += damping[:, np.newaxis] * diagonal + floor
-    step = np.linalg.solve(damped, gradient[..., np.newaxis])
+    step = np.asarray(np.linalg.solve(damped, gradient[..., np.newaxis]), dtype=np.float64)
     return step[..., 0], (np.swapaxes(step, -1, -2) @ normal @ step)[:, 0, 0]
 
 

@@ -9,7 +9,7 @@ is the exact posterior under a flat prior on the pose, for the EKF as for the se
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,13 +44,12 @@ Filter = Callable[[Sensor, Belief, View], Moments | Status]
 def extended(sensor: Sensor, belief: Belief, view: View) -> Moments:
     """The EKF: the moments of the linearised view, with the pose moved along by −A δm (eq. 24)."""
     P, A = belief.covariance, view.correction
-    follow = np.vstack([-A, np.eye(len(P))])
-    covariance = follow @ P @ follow.T
-    covariance[:6, :6] += view.own
+    AP = A @ P
+    covariance = _joint(AP @ A.T + view.own, -AP, P)
     G = view.by_map - view.by_pose @ A
-    with_measured = follow @ (P @ G.T)
-    spread = np.eye(len(G)) + G @ P @ G.T
-    return Moments(view.pose, covariance, with_measured, view.residual, spread)
+    PG = P @ G.T
+    spread = np.eye(len(G)) + G @ PG
+    return Moments(view.pose, covariance, np.vstack([-A @ PG, PG]), view.residual, spread)
 
 
 @dataclass(frozen=True)
@@ -58,7 +57,7 @@ class Unscented:
     """The UKF: moments of sigma points of the map, each with a pose that ``poses`` finds for it."""
 
     poses: SigmaPoses
-    scaling: Scaling = Scaling()
+    scaling: Scaling = field(default_factory=Scaling)
 
     def __call__(self, sensor: Sensor, belief: Belief, view: View) -> Moments | Status:
         """Equations 15 to 17 and 20, and the covariance that eq. 19 subtracts from."""
@@ -84,8 +83,14 @@ def _moments(belief: Belief, view: View, xi: Floats, poses: Poses, measured: Flo
     error = np.hstack([poses.minus(pose), xi])
     deviation = apart - bias
     weighted = error.T * weight.covariance
-    covariance = weighted @ error
-    covariance[6:, 6:] = belief.covariance  # what the sigma points of the map add up to
-    covariance[:6, :6] += view.own
+    with_pose = weighted[:6] @ error
+    covariance = _joint(with_pose[:, :6] + view.own, with_pose[:, 6:], belief.covariance)  # what xi adds up to
     spread = np.eye(len(bias)) + (deviation.T * weight.covariance) @ deviation
     return Moments(pose, covariance, weighted @ deviation, view.residual - bias, spread)
+
+
+def _joint(pose: Floats, with_map: Floats, points: Floats) -> Floats:
+    """The covariance (6 + 3n, 6 + 3n) of pose and map from its blocks."""
+    whole = np.empty((6 + len(points), 6 + len(points)))
+    whole[:6, :6], whole[:6, 6:], whole[6:, :6], whole[6:, 6:] = pose, with_map, with_map.T, points
+    return whole

@@ -15,6 +15,10 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 _NEAR = 1e-4  # rad; below it series serve, their next terms below 1e-16
+# S(v) as a row of nine is v times this.
+_GENERATORS = np.array(
+    [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], float
+)
 
 
 @dataclass(frozen=True)
@@ -54,22 +58,15 @@ def stack(poses: list[Poses]) -> Poses:
 
 
 def exp(theta: Floats) -> Floats:
-    """Rotations of vectors v (..., 3) rad: cos φ I + sin φ/φ S(v) + (1 − cos φ)/φ² v vᵀ (Sola et al., eq. 134)."""
-    x, y, z = theta[..., 0], theta[..., 1], theta[..., 2]
-    squared = x * x + y * y + z * z
-    angle = np.sqrt(squared)
-    near = angle < _NEAR
-    safe = np.where(near, 1.0, angle)
-    half = np.sin(0.5 * safe) / safe
-    first = np.where(near, 1.0 - squared / 6.0, np.sin(safe) / safe)
+    """Rotations of vectors (..., 3) rad: I + sin φ/φ S + (1 − cos φ)/φ² S² (Sola et al., eq. 134)."""
+    cross = (theta @ _GENERATORS).reshape(*theta.shape, 3)
+    squared = np.einsum("...i,...i->...", theta, theta)[..., np.newaxis, np.newaxis]
+    angle = np.sqrt(np.maximum(squared, _NEAR**2))
+    half = np.sin(0.5 * angle) / angle
+    near = squared < _NEAR**2
+    first = np.where(near, 1.0 - squared / 6.0, np.sin(angle) / angle)
     second = np.where(near, 0.5 - squared / 24.0, 2.0 * half * half)
-    turned = np.empty((*theta.shape, 3))
-    u, v, w = second * x, second * y, second * z
-    turned[..., 0, 0], turned[..., 1, 1], turned[..., 2, 2] = 1 - v * y - w * z, 1 - u * x - w * z, 1 - u * x - v * y
-    turned[..., 0, 1], turned[..., 1, 0] = u * y - first * z, u * y + first * z
-    turned[..., 0, 2], turned[..., 2, 0] = u * z + first * y, u * z - first * y
-    turned[..., 1, 2], turned[..., 2, 1] = v * z - first * x, v * z + first * x
-    return turned
+    return np.asarray(np.eye(3) + (first * np.eye(3) + second * cross) @ cross)
 
 
 def log(rotation: Floats) -> Floats:
