@@ -3,11 +3,9 @@
 Equations 5 to 12 of Klečka, "Comparison of different approaches to adaptation of unscented Kalman
 filter for non-odometry SLAM", 2018, after Wan & van der Merwe, AS-SPCC 2000, with a retraction in
 place of addition (Brossard, Barrau, Bonnabel, "A code for unscented Kalman filtering on manifolds",
-ICRA 2020). Corrected:
-
-- λ = α²(L + κ) − L and W_k = 1/(2(L + λ)). As printed, λ = α²(L + κ) and W_k = 1/(L + λ), the weights
-  sum to 1 + L/(L + λ), 1.99 at α = 0.1 and κ = 0, and the sigma points' covariance is twice P.
-- E[vvᵀ] = R is the noise of equation 4 (an observation's), E[wwᵀ] = Q that of equation 3.
+ICRA 2020). Corrected: λ = α²(L + κ) − L and W_k = 1/(2(L + λ)). As printed, λ = α²(L + κ) and
+W_k = 1/(L + λ): then the weights sum to 1 + L/(L + λ), which at α = 0.1 and κ = 0 is 1.99, and the
+sigma points carry twice the covariance.
 
 With these, Σ W_k^(c) (χ − χ̄)(χ − χ̄)ᵀ jointly with h(χ) is a sum of squares plus (β − α²) times that
 of the mean's displacement: it has no negative eigenvalue as long as β ≥ α².

@@ -4,9 +4,9 @@ After Klečka, "Comparison of different approaches to adaptation of unscented Ka
 non-odometry SLAM", 2018, called the paper below. Where its equations are misprinted they are
 corrected, each beside its code:
 
-- eq. 4, 5: E[vvᵀ] = R belongs to the observation, E[wwᵀ] = Q to the motion.
-- weights (after eq. 6): λ = α²(L + κ) − L, W_k = 1/(2(L + λ)); as printed they sum to 1 + L/(L + λ), 1.99
-  at α = 0.1, and the sigma points carry twice the covariance (``filtering/unscented.py``).
+- eq. 2: the variable of integration is x_(i−1).
+- weights (after eq. 6): λ = α²(L + κ) − L, W_k = 1/(2(L + λ)); as printed they sum to 1.99 at α = 0.1, and
+  the sigma points carry twice the covariance (``filtering/unscented.py``).
 - eq. 15, 16, 17: the weight's index is the sum's k, not the view's i. In 17 the sum runs over k, and the
   bracket closes after the measurement's deviation, before S⁻¹: each term of the sum is a product.
 - eq. 18: the mean of the pose before the update is Σ W_k χ_k^x, as in 17, which differs from eq. 21's
