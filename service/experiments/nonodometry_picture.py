@@ -42,12 +42,15 @@ def _world(axes: Any, world: Spiral) -> None:
     for k in range(0, len(path), 10):  # optical axes
         axes.plot(*np.stack([path[k], path[k] + 0.55 * world.poses.rotation[k, :, 2]]).T, color="#c8372d", lw=0.9)
     for points, hue in ((world.points[:half], PLANES[0]), (world.points[half:], PLANES[1])):
+        low, high = 1.15 * points.min(axis=0), 1.15 * points.max(axis=0)
+        corners = [np.array([[low[k], high[k]], [low[k], high[k]]]) for k in (0, 1)]
+        axes.plot_surface(*corners, np.array([[low[2]] * 2, [high[2]] * 2]), color=hue, alpha=0.16, lw=0)
         axes.scatter(*points.T, s=14, color=hue, depthshade=False)
     axes.plot([0, 0], [0, 0], [-1.1, 1.1], color=INK, lw=0.9, ls=":")
     axes.set_title(f"{len(world.points)} points on two planes, {len(path)} views")
-    axes.set(xlabel="x (m)", ylabel="y (m)", zlabel="z (m)", xticks=(-2, 0, 2), yticks=(-2, 0, 2), zticks=(-1, 0, 1))
-    axes.set_box_aspect((1, 1, 0.5), zoom=1.2)
-    axes.view_init(elev=24, azim=-58)
+    axes.set(xlabel="x (m)", ylabel="y (m)", xticks=(-2, 0, 2), yticks=(-2, 0, 2), zticks=(-1, 0, 1))
+    axes.set_box_aspect((1, 1, 0.5), zoom=1.05)
+    axes.view_init(elev=27, azim=-52)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color(PAPER)
 
@@ -62,7 +65,8 @@ def _errors(axes: Axes, measures: Measures, which: int, title: str) -> None:
             reach = (middle - low, high - middle)
             axes.errorbar(beside, middle, reach, fmt="o", ms=6, lw=1.6, capsize=2.5, color=hue, label=name)
     axes.set_yscale("log")
-    axes.set_xticks(range(len(measures)), list(measures), rotation=20)
+    named = [f"{start} m" if start.startswith("σ") else start for start in measures]
+    axes.set_xticks(range(len(measures)), named, rotation=20)
     axes.set_xlim(-0.5, len(measures) - 0.5)
     axes.grid(axis="x", visible=False)
     axes.set_title(title)

@@ -7,15 +7,17 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from submaps.consistency import average_bounds
+from submaps.consistency import average_bounds, nees
 from submaps.nonodometry.belief import Belief
 from submaps.nonodometry.bundle import Bundle, adjust
 from submaps.nonodometry.errors import euclidean, mahalanobis, shape
 from submaps.nonodometry.initial import from_views
 from submaps.nonodometry.likelihood import linearise
+from submaps.nonodometry.moments import extended
 from submaps.nonodometry.poses import Poses, exp, log
 from submaps.nonodometry.sensor import Camera
 from submaps.nonodometry.spiral import Spiral, observe, spiral
+from submaps.nonodometry.update import update
 
 Floats = NDArray[np.float64]
 
@@ -129,6 +131,25 @@ def test_starts_from_views_are_consistent_and_leave_a_residual_of_its_degrees_of
     freedom = 64 * views - 96 - 6 * views + 7
     low, high = average_bounds(0.999, freedom, runs)
     assert low < np.mean([start.cost / freedom for start in starts]) < high
+
+
+def test_the_ekf_through_the_other_views_ends_at_the_optimum_of_all_of_them() -> None:
+    """Started from some views and filtered through the rest, against one adjustment with the same gauge."""
+    world, first, last = spiral(), 16, 60
+    z = observe(world, CAMERA, np.random.default_rng(7))
+    start = from_views(CAMERA, z[:first], world.poses.take(0), baseline(world, first))
+    belief, pose = start.belief, start.poses.take(first - 1)
+    for view in z[first:last]:
+        after = update(extended, CAMERA, belief, view, pose)
+        assert after.pose is not None
+        belief, pose = after.belief, after.pose
+    order = np.array([*range(first - 1), *range(first, last), first - 1])  # the gauge's second camera comes last
+    whole = adjust(CAMERA, z[order], world.points, world.poses.take(order))
+    assert whole.found
+    apart = (belief.points - whole.belief.points).ravel()
+    assert nees(apart, whole.belief.covariance) / 96 < 0.05
+    sizes = np.diag(belief.covariance) / np.diag(whole.belief.covariance)
+    assert np.all((sizes > 0.9) & (sizes < 1.1))
 
 
 def test_views_from_one_place_give_nothing() -> None:

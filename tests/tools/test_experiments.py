@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 import json
 import os
 import signal
@@ -111,12 +110,15 @@ def test_a_folder_that_cannot_be_is_told_before_the_work(tmp_path: Path) -> None
     assert "Traceback" not in answer.stderr
 
 
-def test_the_registry_and_the_experiments_name_each_other() -> None:
-    for name, module in REGISTRY.items():
-        assert importlib.util.find_spec(module) is not None
-        one = load(name)
-        assert one.name == name
-        assert one.runs >= 1
+@pytest.mark.parametrize("name", sorted(REGISTRY))
+def test_every_experiment_has_its_name_and_a_page_with_its_picture(name: str) -> None:
+    one, docs = load(name), ROOT / "docs"
+    assert one.name == name
+    assert one.runs >= 1
+    page = (docs / "experiments" / f"{name}.md").read_text()
+    assert f"../images/experiments/{name}.png" in page
+    assert (docs / "images" / "experiments" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    assert f"]({name}.md)" in (docs / "experiments" / "README.md").read_text()
 
 
 @pytest.mark.parametrize("name", sorted(REGISTRY))
