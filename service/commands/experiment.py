@@ -42,15 +42,24 @@ def experiment(
     folder = out if json else out or Path()
     if folder is not None:
         _prepare(folder, name)
-    _run(load(name), runs, seed, folder, workers, json)
+    _run(_load(name), runs, seed, folder, workers, json)
 
 
 def _list(json: bool) -> None:
-    known = [load(name) for name in sorted(REGISTRY)]
+    known = [_load(name) for name in sorted(REGISTRY)]
     if json:
         print_json({"experiments": [{"name": one.name, "about": one.about, "runs": one.runs} for one in known]})
     else:
         print_table(["experiment", "runs", "about"], [[one.name, f"{one.runs:,}", one.about] for one in known])
+
+
+def _load(name: str) -> Experiment:
+    try:
+        return load(name)
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != "matplotlib":
+            raise
+        fail(f"{name} needs matplotlib; pip install 'submaps[plot]'", INPUT)
 
 
 def _prepare(folder: Path, name: str) -> None:

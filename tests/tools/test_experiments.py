@@ -19,7 +19,8 @@ from matplotlib.figure import Figure
 from service.commands import experiment as command
 from service.commands.console import INPUT, INTERRUPTED
 from service.experiments.base import Experiment, Outcome, Table
-from service.experiments.nonodometry import BASE, Job, Run, conclude, process, summarise
+from service.experiments.nonodometry_figures import conclude, summarise
+from service.experiments.nonodometry_runs import BASE, FILTERS, STARTS, Job, Run, process
 from service.experiments.registry import REGISTRY, load
 from service.experiments.report import cell
 from service.experiments.runner import WorkerLost, Workers
@@ -240,7 +241,6 @@ def test_failures_are_counted_apart_and_do_not_enter_the_medians() -> None:
 
 def test_the_papers_conclusions_follow_from_the_figures() -> None:
     """UKFs at half the EKF's error would contradict the first, a consistent constant pose the second."""
-    from service.experiments.nonodometry import FILTERS, STARTS
 
     def told(linear: float, constant: float) -> str:
         errors = {"EKF": 1.0, "UKF constant": 1.0, "UKF linear": linear, "UKF likelihood": 1.0}
