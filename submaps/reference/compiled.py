@@ -113,6 +113,11 @@ class KernelFilter:
         return Estimate(self._x[:n].copy(), self._P[:n, :n].copy())
 
     @property
+    def heading(self) -> float:
+        """The heading (rad)."""
+        return float(self._x[2])
+
+    @property
     def heading_variance(self) -> float:
         """P of the heading (rad²)."""
         return float(self._P[2, 2])

@@ -52,13 +52,11 @@ def closed_form(record: Record, landmarks: int) -> tuple[Floats, Floats]:
     information, right = np.zeros((size, size)), np.zeros(size)
 
     def add(to: int, origin: int | None, value: Floats, back: Floats, covariance: Floats) -> None:
-        A = np.zeros((d, size))
-        A[:, d * to : d * to + d] = back
-        if origin is not None:
-            A[:, d * origin : d * origin + d] = -back
+        A = back if origin is None else np.hstack([back, -back])
+        at = np.concatenate([d * k + np.arange(d) for k in (to, origin) if k is not None])
         weighted = np.linalg.solve(covariance, A)
-        information[:] += A.T @ weighted
-        right[:] += weighted.T @ value
+        information[np.ix_(at, at)] += A.T @ weighted
+        right[at] += weighted.T @ value
 
     theta = record.start[d:]
     add(0, None, record.start[:d], np.eye(d), record.P0)
