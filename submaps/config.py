@@ -83,6 +83,11 @@ class MotionConfig:
             raise ConfigError("motion.encoder_offset", self.encoder_offset, expected)
 
     @property
+    def space(self) -> SpaceName:
+        """The space that the robot moves in."""
+        return "se3" if self.model in _MOTIONS["se3"] else "se2"
+
+    @property
     def channels(self) -> tuple[str, ...]:
         """Names of the control's channels, in the order of the columns."""
         return MOTION_CHANNELS[self.model]

@@ -18,8 +18,6 @@ from submaps.geometry.se2 import exp, log
 from submaps.geometry.trig import sincos
 from submaps.measurements import Floats, Ints
 
-# (1e-4 m)²: keeps a pose and a mark at the same place from being the same number twice.
-_MARK_COVARIANCE = 1e-8 * np.eye(2)
 Mark = tuple[float, int]
 
 
@@ -118,8 +116,8 @@ def with_marks(columns: Columns, before: float | None, marks: Sequence[Mark]) ->
     marked = Columns(
         t=whole_t, control_step=control_step, increments=increments, noises=noises, observation_step=step[order],
         landmark=np.concatenate([columns.landmark, numbers])[order],
-        z=np.ascontiguousarray(np.concatenate([columns.z, np.zeros((2, added))], axis=1)[:, order]),
-        R=one_each(np.concatenate([columns.each, np.repeat(_MARK_COVARIANCE[np.newaxis], added, axis=0)])[order]),
+        z=np.ascontiguousarray(np.concatenate([columns.z, np.zeros((columns.z.shape[0], added))], axis=1)[:, order]),
+        R=one_each(np.concatenate([columns.each, np.zeros((added, *columns.R.shape[1:]))])[order]),
         own=np.concatenate([columns.own, np.where(np.isin(times[good], fresh), 2, 1).astype(np.uint8)])[order],
     )  # fmt: skip
     return Marked(marked, steps, observations[:count])

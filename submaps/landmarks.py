@@ -56,7 +56,8 @@ class LandmarkTable:
         if last is not None:
             self.slot_of[last.ids[: last.landmark_count]] = -1
         held = submap.landmark_count
-        self.slot_of[submap.ids[:held]] = 3 + 2 * np.arange(held, dtype=np.int32)
+        pose, dim = submap.space.pose, submap.space.dim
+        self.slot_of[submap.ids[:held]] = pose + dim * np.arange(held, dtype=np.int32)
         self._lent_to = submap
 
     def file(self, closed: Submap) -> bool:

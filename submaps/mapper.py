@@ -33,7 +33,13 @@ _FIRST_CAPACITY = 13
 _SHELF_SUBMAPS, _SHELF_REALS, _MOST_SHELVED = 4, 1 << 11, 256
 # Sightings of one robot that wait for it to come so far.
 _MOST_MARKS = 10_000
-_REASONS = {kernel.GATED: "gate", kernel.SINGULAR: "singular", kernel.FLAGGED: "unlikely", kernel.LATE: "late"}
+_REASONS = {
+    kernel.GATED: "gate",
+    kernel.SINGULAR: "singular",
+    kernel.FLAGGED: "unlikely",
+    kernel.LATE: "late",
+    kernel.LOST: "lost",
+}
 
 
 class Mapper:
@@ -88,24 +94,22 @@ class Mapper:
             nis = np.full(batch.observations, math.nan)
             status[taken], nis[taken] = seen_status, seen_nis
         rejected, flagged = _set_aside(batch, status, nis)
-        x, y, theta = track[-1].tolist()
-        return Report(
-            r.active.number, float(batch.t[-1]), (x, y, theta), rejected, flagged, track_submap, track, track_odom
-        )
+        pose = r.active.space.as_pose(track[-1])
+        return Report(r.active.number, float(batch.t[-1]), pose, rejected, flagged, track_submap, track, track_odom)
 
     def _walk(self, r: Robot, c: Columns) -> tuple[Floats, NDArray[np.int32], NDArray[np.uint8], Floats]:
         """Walk through the robot's sub-maps: pose and sub-map after each step, status and nis of each observation."""
         nis = np.empty(c.landmark.shape[0])
         status = np.zeros(c.landmark.shape[0], dtype=np.uint8)
-        track = np.empty((c.t.shape[0], 3))
+        track = np.empty((c.t.shape[0], r.active.space.pose))
         track_submap, chapter = np.empty((2, c.t.shape[0]), dtype=np.int32)
         event, step, resumed = layout.GENESIS, 0, False
         while event != layout.DONE:
             s, begin, shelf = r.active, step, self._shelf
             self._landmarks.lend_slots(s)
             event, step = walk(
-                step, resumed, c.increments, c.noises, c.control_step, c.observation_step, c.landmark, c.z, c.R, c.own,
-                r.whole, r.real, s.x, s.P, s.ids, s.counts, s.motion, self._landmarks.slot_of, s.scratch,
+                s.space.key, step, resumed, c.increments, c.noises, c.control_step, c.observation_step, c.landmark, c.z,
+                c.R, c.own, r.whole, r.real, s.x, s.P, s.ids, s.counts, s.motion, self._landmarks.slot_of, s.scratch,
                 nis, status, track, chapter, shelf.whole, shelf.reals, shelf.ids, shelf.fill,
             )  # fmt: skip
             numbers = [s.number]
@@ -159,7 +163,8 @@ class Mapper:
             self._landmarks.all_seen_by(0)
         capacity = min(self.config.max_landmarks, _FIRST_CAPACITY)
         own = self._configured.get(name) or RobotConfig(self.config.motion, self.config.observation)
-        robot = Robot(number, name, self.config, own, ActiveSubmap(self._next_number(), number, t, capacity))
+        active = ActiveSubmap(self._next_number(), number, t, capacity, self.config.geometry)
+        robot = Robot(number, name, self.config, own, active)
         self._robots[name] = robot
         root = number if own.start is None else self._root_of(own.start)
         self._roots = np.append(self._roots, min(root, number))
@@ -220,7 +225,7 @@ class Mapper:
         room = max(2 * self.config.max_landmarks - s.landmark_count, 0)
         good = [mark for mark in marks if history and any(segment.covers(mark[0]) for segment in history)][:room]
         if history and good:
-            fresh = ActiveSubmap(s.number, s.robot, s.began, s.landmark_count + len(good))
+            fresh = ActiveSubmap(s.number, s.robot, s.began, s.landmark_count + len(good), s.space)
             fresh.previous = s.previous
             self._landmarks.lend_slots(fresh)
             parts = [(segment, [m for m in good if segment.covers(m[0])]) for segment in history]
@@ -237,9 +242,9 @@ class Mapper:
             c = with_marks(c, segment.before, marks).columns
         m, n, shelf = c.landmark.shape[0], c.t.shape[0], self._shelf
         walk(
-            0, False, c.increments, c.noises, c.control_step, c.observation_step, c.landmark, c.z, c.R, c.own,
-            r.endless, r.real, s.x, s.P, s.ids, s.counts, s.motion, self._landmarks.slot_of, s.scratch,
-            np.empty(m), np.empty(m, dtype=np.uint8), np.empty((n, 3)), np.empty(n, dtype=np.int32),
+            s.space.key, 0, False, c.increments, c.noises, c.control_step, c.observation_step, c.landmark, c.z, c.R,
+            c.own, r.endless, r.real, s.x, s.P, s.ids, s.counts, s.motion, self._landmarks.slot_of, s.scratch,
+            np.empty(m), np.empty(m, dtype=np.uint8), np.empty((n, s.space.pose)), np.empty(n, dtype=np.int32),
             shelf.whole, shelf.reals, shelf.ids, shelf.fill,
         )  # fmt: skip
         return Segment(c, segment.before)
@@ -267,8 +272,9 @@ class Mapper:
 def _prepared(r: Robot, batch: Batch, landmark: Ints) -> tuple[Columns, Floats]:
     """A batch as the walk takes it, and the robot's track by dead reckoning, which it brings forward."""
     steps, noises = increments(r.motion, batch, r.t)
-    track_odom = np.empty((batch.steps, 3))
-    dead_reckon(r.odom, r.odom_covariance, steps, noises, batch.control_step, track_odom)
+    space = r.active.space
+    track_odom = np.empty((batch.steps, space.pose))
+    dead_reckon(space.key, r.odom, r.odom_covariance, steps, noises, batch.control_step, track_odom)
     R = r.R if batch.observation_covariance is None else one_each(batch.observation_covariance)
     own = np.zeros(batch.observations, dtype=np.uint8)
     columns = Columns(

@@ -35,8 +35,8 @@ class Batch:
     """Steps of one robot as columns, already validated.
 
     ``t`` (n,) seconds; ``control`` (d, c) with ``control_step`` (c,) strictly rising;
-    ``z`` (2, m) with ``observation_step`` (m,) not falling and ``landmark`` m ids. Covariances
-    (c, d, d) and (m, 2, 2) stand where the client sent its own, and are ``None`` where the model's
+    ``z`` (channels, m) with ``observation_step`` (m,) not falling and ``landmark`` m ids. Covariances
+    (c, d, d) and (m, channels, channels) stand where the client sent its own, and are ``None`` where the model's
     sigma holds throughout; a row of ``control_covariance`` that is NaN at [0, 0] means the model's own
     noise as well. A sighting of another robot is an observation of the landmark that
     ``encounter`` names; within a step it follows those of landmarks.
@@ -81,13 +81,14 @@ class Rejection:
 class Report:
     """What applying a batch did: the robot's pose after it, and what was set aside.
 
-    ``pose`` (x m, y m, theta rad) is in the frame of ``submap``; ``track_pose`` (n, 3) after each
-    step in the frame of ``track_submap`` (n,), ``track_odom`` (n, 3) by dead reckoning in ``odom``.
+    ``pose`` (x m, y m, theta rad; in space x, y, z m and a rotation vector, rad) is in the frame of
+    ``submap``; ``track_pose`` (n, pose) after each step in the frame of ``track_submap`` (n,), ``track_odom``
+    (n, pose) by dead reckoning in ``odom``.
     """
 
     submap: int
     t: float
-    pose: tuple[float, float, float]
+    pose: tuple[float, ...]
     rejected: tuple[Rejection, ...]
     flagged: tuple[Rejection, ...]
     track_submap: NDArray[np.int32]

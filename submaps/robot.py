@@ -8,13 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from submaps.atlas.state import RobotState
-from submaps.config import MapConfig, ObservationConfig, RobotConfig
+from submaps.config import MapConfig, RobotConfig
 from submaps.consistency import chi_square_bound
 from submaps.encounters import Columns
 from submaps.filtering import layout
-from submaps.geometry.trig import sincos
 from submaps.measurements import Floats, Ints
-from submaps.observation.models import MODELS
+from submaps.observation.models import MODELS, body_sensor, sensor_of
 from submaps.submap import ActiveSubmap
 
 FLAG_PROBABILITY = 0.9999
@@ -44,14 +43,15 @@ class Robot:
         self.name = name
         self.motion = own.motion
         self.start = own.start
-        self.whole, self.real, self.R = _settings(config, own.observation)
+        self.whole, self.real, self.R = _settings(config, own)
         self.endless = self.whole.copy()  # for walking a sub-map again, which is not to end
         self.endless[[layout.MAX_LANDMARKS, layout.MIN_OBSERVED]] = 1 << 40
         self.active = active
         self.first = active.number
         self.t: float | None = None
-        self.odom = np.zeros(3)
-        self.odom_covariance = np.zeros((3, 3))
+        pose = config.geometry.pose
+        self.odom = np.zeros(pose)
+        self.odom_covariance = np.zeros((pose, pose))
         self.closed_counts = np.zeros(3, dtype=np.int64)  # steps, observations, rejected
         self.foreign: set[int] = set()  # landmarks that a robot of another component saw first
         self.history: list[Segment] | None = []
@@ -72,21 +72,24 @@ class Robot:
         """What a view tells of it."""
         own = [layout.STEPS, layout.OBSERVATIONS, layout.REJECTED]
         steps, observations, rejected = (self.closed_counts + self.active.counts[own]).tolist()
-        x, y, theta = self.odom
         return RobotState(
             id=self.name, number=self.number, first=self.first, submap=self.active.number, t=self.t or 0.0,
             steps=steps, observations=observations, rejected=rejected, pose=self.active.pose,
-            odom=(float(x), float(y), float(theta)), odom_covariance=self.odom_covariance.copy(), start=self.start,
+            odom=self.active.space.as_pose(self.odom), odom_covariance=self.odom_covariance.copy(), start=self.start,
         )  # fmt: skip
 
 
-def _settings(config: MapConfig, observation: ObservationConfig) -> tuple[Ints, Floats, Floats]:
-    x, y, theta = observation.mount
-    sine, cosine = sincos(theta)
-    gate = math.inf if config.gate is None else chi_square_bound(config.gate, 2)
-    flag = chi_square_bound(FLAG_PROBABILITY, 2)
-    invariant = config.filter == "invariant"
-    body = [0.0, 0.0, 1.0, 0.0]
-    whole = [MODELS[observation.model], invariant, config.max_landmarks, config.min_observed_steps]
-    real = [x, y, cosine, sine, gate, flag, config.max_heading_sigma**2, config.max_position_sigma**2, *body]
-    return np.array(whole, dtype=np.int64), np.array(real), np.diag(np.square(observation.sigma))[np.newaxis]
+def _settings(config: MapConfig, own: RobotConfig) -> tuple[Ints, Floats, Floats]:
+    """Integer and real settings (``filtering.layout``), and the covariance (1, c, c) of a reading."""
+    observation, space = own.observation, config.geometry
+    channels = len(observation.channels)
+    gate = math.inf if config.gate is None else chi_square_bound(config.gate, channels)
+    flag = chi_square_bound(FLAG_PROBABILITY, channels)
+    motionless = own.motion.model == "none"
+    whole = [
+        MODELS[observation.model], config.filter == "invariant", config.max_landmarks, config.min_observed_steps,
+        motionless,
+    ]  # fmt: skip
+    bounds = np.array([gate, flag, config.max_heading_sigma**2, config.max_position_sigma**2])
+    real = np.concatenate([bounds, sensor_of(space, observation), body_sensor(space)])
+    return np.array(whole, dtype=np.int64), real, np.diag(np.square(observation.sigma))[np.newaxis]

@@ -125,28 +125,29 @@ class ActiveSubmap:
     A robot keeps one for life: when a sub-map has closed, the next begins in the same arrays.
     """
 
-    def __init__(self, number: int, robot: int, began: float, landmarks: int) -> None:
+    def __init__(self, number: int, robot: int, began: float, landmarks: int, space: Space = PLANE) -> None:
+        self.space = space
         self.number = number
         self.robot = robot
         self.previous = -1
         self.began = began
         self.counts = np.zeros(layout.COUNTS, dtype=np.int64)
-        self.counts[layout.DIM] = 3
-        self.motion = np.zeros(layout.MOTION)
-        self._allocate(3 + 2 * landmarks)
+        self.counts[layout.DIM] = space.pose
+        self.motion = np.zeros(layout.motion_size(space.pose))
+        self._allocate(space.pose + space.dim * landmarks)
 
     def _allocate(self, dimension: int) -> None:
         rows = -(-dimension // 8) * 8
         self.P = _aligned(rows, rows)
         self.x = np.zeros(rows)
         self.ids = np.zeros(rows // 2, dtype=np.int64)
-        self.scratch = _aligned(3, rows)
+        self.scratch = _aligned(self.space.pose, rows)
 
     def grow(self, more: int) -> None:
         """Make room for ``more`` further landmarks."""
         n = self.dimension
         x, P, ids = self.x, self.P, self.ids
-        self._allocate(n + 2 * more)
+        self._allocate(n + self.space.dim * more)
         self.x[:n], self.P[:n, :n], self.ids[: ids.shape[0]] = x[:n], P[:n, :n], ids
 
     @property
@@ -156,14 +157,14 @@ class ActiveSubmap:
 
     @property
     def pose(self) -> Pose:
-        """The robot's pose now (x m, y m, theta rad), in this sub-map's frame."""
-        x, d = self.x, self.motion
-        return PLANE.compose((x[0], x[1], x[2]), (d[0], d[1], d[2]))
+        """The robot's pose now, in this sub-map's frame."""
+        as_pose = self.space.as_pose
+        return self.space.compose(as_pose(self.x), as_pose(self.motion[layout.PENDING :]))
 
     @property
     def landmark_count(self) -> int:
         """How many landmarks it holds."""
-        return (self.dimension - 3) // 2
+        return (self.dimension - self.space.pose) // self.space.dim
 
     def snapshot(self, ended: float, invariant: bool) -> Submap:
         """What it says now, with the pending increment taken in; its own arrays stay as they are.
@@ -171,11 +172,11 @@ class ActiveSubmap:
         Where the pose's covariance is singular, its missing variance is raised to a floor.
         """
         n, x, P, motion = self.dimension, self.x, self.P, self.motion
-        if motion[: layout.NIS_SUM].any():
+        if motion[layout.PENDING :].any():
             x, P, motion = x.copy(), P.copy(), motion.copy()
-            flush(x, P, self.counts, motion, invariant, self.scratch)
+            flush(self.space.key, x, P, self.counts, motion, invariant, self.scratch)
         packed = np.empty(n * (n + 1) // 2)
-        pack(P, n, packed)
+        pack(self.space.key, P, n, packed)
         nis = float(motion[layout.NIS_SUM]), int(motion[layout.NIS_COUNT])
         landmarks = self.ids[: self.landmark_count].astype(np.int32)
         return self.as_submap(ended, invariant, -1, self.counts.tolist(), nis, landmarks, x[:n].copy(), packed)
@@ -198,7 +199,7 @@ class ActiveSubmap:
         for row in range(int(shelf.fill[CLOSED])):
             counts = shelf.whole[row].tolist()
             n = counts[layout.DIM]
-            end, last = at + n + n * (n + 1) // 2, first + (n - 3) // 2
+            end, last = at + n + n * (n + 1) // 2, first + (n - self.space.pose) // self.space.dim
             mean, packed = shelf.reals[at : at + n].copy(), shelf.reals[at + n : end].copy()
             nis = float(shelf.reals[end]), int(shelf.reals[end + 1])
             landmarks = shelf.ids[first:last].astype(np.int32)

@@ -6,8 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
-from submaps.filtering.kernel import add_rank_one, predict_invariant, predict_standard
-from submaps.filtering.layout import COUNTS, DIM, NIS_COUNT, NIS_SUM, NOISE
+from submaps.filtering.layout import COUNTS, DIM, INVARIANT, MOTIONLESS, NIS_COUNT, NIS_SUM
+from submaps.filtering.passes import add
+from submaps.filtering.predicting import predict
+from submaps.filtering.workspace import Workspace, workspace
+from submaps.geometry.space import Key
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -16,6 +19,9 @@ Ints = NDArray[np.int64]
 # pivots. The heading's floor is the smaller: its error grows with a landmark's distance.
 POSITION_FLOOR_M = 1e-4
 HEADING_FLOOR_RAD = 2e-7
+# How little an exit pose says where nothing is known of the motion: beside a landmark's centimetres, nothing.
+FLAT_POSITION_M = 1e3
+FLAT_ROTATION_RAD = 1e3
 # Places in a row of ``Shelf.whole`` after the counts: the step at which the sub-map closed.
 STEP, ROW = COUNTS, COUNTS + 1
 # Places in ``Shelf.fill``: sub-maps, reals, ids.
@@ -23,76 +29,97 @@ CLOSED, REALS, IDS = 0, 1, 2
 
 
 @jit()
-def predict(x: Floats, P: Floats, n: int, motion: Floats, invariant: int, u: Floats) -> bool:
-    """Predict with the pending increment and clear it; whether ``u`` holds a rank-one term still to be added."""
-    noise = motion[NOISE : NOISE + 9].reshape(3, 3)
-    has_u = False
-    if invariant:
-        has_u = predict_invariant(x, P, n, motion[:3], noise, u)
-    else:
-        predict_standard(x, P, n, motion[:3], noise)
-    motion[:NIS_SUM] = 0.0
-    return has_u
+def _take_in(
+    space: Key, x: Floats, P: Floats, n: int, motion: Floats, invariant: int, scratch: Floats, w: Workspace
+) -> None:
+    U = scratch[: 2 * len(space) - 3]
+    if predict(space, x, P, n, motion, invariant, U, w):
+        add(space, P, n, U)
 
 
-@jit("void(float64[::1], float64[:, ::1], int64[::1], float64[::1], int64, float64[:, ::1])")
-def flush(x: Floats, P: Floats, counts: Ints, motion: Floats, invariant: int, scratch: Floats) -> None:
+@jit(
+    "void(UniTuple(int64, 2), float64[::1], float64[:, ::1], int64[::1], float64[::1], int64, float64[:, ::1])",
+    "void(UniTuple(int64, 3), float64[::1], float64[:, ::1], int64[::1], float64[::1], int64, float64[:, ::1])",
+)
+def flush(space: Key, x: Floats, P: Floats, counts: Ints, motion: Floats, invariant: int, scratch: Floats) -> None:
     """Predict with the pending increment and clear it, on x, P and ``motion`` in place."""
-    has_u = predict(x, P, counts[DIM], motion, invariant, scratch[0])
-    if has_u:
-        add_rank_one(P, counts[DIM], scratch[0])
+    _take_in(space, x, P, counts[DIM], motion, invariant, scratch, workspace(space))
 
 
-@jit("void(float64[:, ::1], int64, float64[::1])")
-def pack(P: Floats, n: int, out: Floats) -> None:
+@jit(
+    "void(UniTuple(int64, 2), float64[:, ::1], int64, float64[::1])",
+    "void(UniTuple(int64, 3), float64[:, ::1], int64, float64[::1])",
+)
+def pack(space: Key, P: Floats, n: int, out: Floats) -> None:
     """Lower triangle of the leading (n, n) block, row by row, the pose's pivots raised to the floors.
 
-    The pivots are taken in the order theta, x, y.
+    The pivots are taken in the order rotation, position.
     """
     k = 0
     for i in range(n):
         for j in range(i + 1):
             out[k] = P[i, j]
             k += 1
-    xx, xy, yy, xt, yt, tt = out[0], out[1], out[2], out[3], out[4], out[5]
-    tt = max(tt, HEADING_FLOOR_RAD**2)
-    xx += max(POSITION_FLOOR_M**2 - (xx - xt * xt / tt), 0.0)
-    rest = xx - xt * xt / tt
-    mixed = xy - xt * yt / tt
-    yy += max(POSITION_FLOOR_M**2 - (yy - yt * yt / tt - mixed * mixed / rest), 0.0)
-    out[0], out[2], out[5] = xx, yy, tt
+    dim, rot = len(space), 2 * len(space) - 3
+    M, pivots = np.empty((dim + rot, dim + rot)), np.empty(dim + rot)
+    for a in range(dim + rot):
+        i = dim + a if a < rot else a - rot
+        least = HEADING_FLOOR_RAD**2 if a < rot else POSITION_FLOOR_M**2
+        for b in range(a + 1):
+            j = dim + b if b < rot else b - rot
+            total = P[i, j]
+            for c in range(b):
+                total -= M[a, c] * M[b, c] / pivots[c]
+            M[a, b] = total
+        missing = max(least - M[a, a], 0.0)
+        out[i * (i + 1) // 2 + i] += missing
+        pivots[a] = M[a, a] + missing
 
 
 @jit()
-def begin(x: Floats, P: Floats, counts: Ints, motion: Floats) -> None:
+def begin(space: Key, x: Floats, P: Floats, counts: Ints, motion: Floats) -> None:
     """Make the arrays those of a sub-map that begins: the origin, and nothing else.
 
     Beyond the state's dimension they may hold what was there: ``augment`` writes a landmark's rows
     and columns whole.
     """
+    pose = 3 * len(space) - 3
     counts[:] = 0
-    counts[DIM] = 3
+    counts[DIM] = pose
     motion[:] = 0.0
-    x[:3] = 0.0
-    P[:3, :3] = 0.0
+    x[:pose] = 0.0
+    P[:pose, :pose] = 0.0
+
+
+@jit()
+def forget_pose(space: Key, P: Floats, n: int, position_variance: float, rotation_variance: float) -> None:
+    """Give the pose a covariance of its own, with no correlation to anything: what a flat prior leaves."""
+    dim, pose = len(space), 3 * len(space) - 3
+    for i in range(pose):
+        for j in range(n):
+            P[i, j] = 0.0
+            P[j, i] = 0.0
+        P[i, i] = position_variance if i < dim else rotation_variance
 
 
 @jit()
 def close(
-    step: int, x: Floats, P: Floats, ids: Ints, counts: Ints, motion: Floats, invariant: int,
-    slot_of: NDArray[np.int32], scratch: Floats, whole: Ints, reals: Floats, numbers: Ints, fill: Ints,
+    space: Key, step: int, x: Floats, P: Floats, ids: Ints, counts: Ints, motion: Floats, settings: Ints,
+    slot_of: NDArray[np.int32], scratch: Floats, whole: Ints, reals: Floats, numbers: Ints, fill: Ints, w: Workspace,
 ) -> bool:  # fmt: skip
     """Predict to the present pose, put the sub-map on the shelf, and begin the next; false without room."""
     n = counts[DIM]
-    held = (n - 3) // 2
+    held = (n - (3 * len(space) - 3)) // len(space)
     row, at, first = fill[CLOSED], fill[REALS], fill[IDS]
     size = n + n * (n + 1) // 2 + 2
     if row == whole.shape[0] or at + size > reals.shape[0] or first + held > numbers.shape[0]:
         return False
-    if predict(x, P, n, motion, invariant, scratch[0]):
-        add_rank_one(P, n, scratch[0])
+    _take_in(space, x, P, n, motion, settings[INVARIANT], scratch, w)
+    if settings[MOTIONLESS]:
+        # The pose is a guess at where the next sub-map begins, from readings that go into that one.
+        forget_pose(space, P, n, FLAT_POSITION_M**2, FLAT_ROTATION_RAD**2)
     reals[at : at + n] = x[:n]
-    pack(P, n, reals[at + n : at + size - 2])
+    pack(space, P, n, reals[at + n : at + size - 2])
     reals[at + size - 2] = motion[NIS_SUM]
     reals[at + size - 1] = motion[NIS_COUNT]
     whole[row, :COUNTS] = counts
@@ -101,7 +128,7 @@ def close(
         numbers[first + i] = ids[i]
         slot_of[ids[i]] = -1
     fill[CLOSED], fill[REALS], fill[IDS] = row + 1, at + size, first + held
-    begin(x, P, counts, motion)
+    begin(space, x, P, counts, motion)
     return True
 
 

@@ -8,18 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
-from submaps.filtering.closing import CLOSED, close, predict
-from submaps.filtering.kernel import (
-    FIRST,
-    GATED,
-    SINGULAR,
-    accumulate,
-    add_rank_one,
-    augment,
-    update,
-)
+from submaps.filtering.closing import CLOSED, close
+from submaps.filtering.genesis import wants_genesis
+from submaps.filtering.kernel import FIRST, GATED, LOST, SINGULAR, augment, update
 from submaps.filtering.layout import (
-    BODY,
     DIM,
     DONE,
     FLAG,
@@ -27,25 +19,29 @@ from submaps.filtering.layout import (
     GENESIS,
     GROW,
     INVARIANT,
-    MAX_HEADING_VARIANCE,
-    MAX_LANDMARKS,
-    MAX_POSITION_VARIANCE,
-    MIN_OBSERVED,
     MODEL,
-    MOUNT,
+    MOTIONLESS,
     NIS_COUNT,
     NIS_SUM,
-    NOISE,
     OBSERVATIONS,
     OBSERVED,
     REJECTED,
+    SENSOR,
     STEPS,
 )
+from submaps.filtering.passes import add
+from submaps.filtering.predicting import accumulate, accumulate_in_space, pending_of, predict
+from submaps.filtering.relocating import relocalise
+from submaps.filtering.workspace import Workspace, workspace
+from submaps.geometry import so3
+from submaps.geometry.space import Key
 from submaps.geometry.trig import sincos, wrap
-from submaps.observation.models import CARTESIAN
+from submaps.observation.models import CARTESIAN, sensor_size
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+_quaternion, _multiply, _rotation_vector = so3.quaternion, so3.multiply, so3.rotation_vector
 
 
 @jit()
@@ -63,103 +59,119 @@ def _new_landmarks(landmark: Ints, slot_of: NDArray[np.int32], begin: int, end: 
 
 
 @jit()
-def _position_variance(x: Floats, P: Floats, motion: Floats, invariant: bool) -> float:
-    """Trace of the covariance (m^2) of the position's additive error, the pending increment taken in.
-
-    The error is xi_p + J q xi_theta plus the increment's own, with q the position after it on the
-    invariant error and the increment itself, R d, on the standard one.
-    """
-    s, c = sincos(x[2])
-    q0 = c * motion[0] - s * motion[1] + (x[0] if invariant else 0.0)
-    q1 = s * motion[0] + c * motion[1] + (x[1] if invariant else 0.0)
-    own: float = P[0, 0] + P[1, 1] + motion[NOISE] + motion[NOISE + 4]
-    own += 2.0 * (q0 * P[1, 2] - q1 * P[0, 2]) + (q0 * q0 + q1 * q1) * P[2, 2]
-    return own
-
-
-@jit()
-def _wants_genesis(new: int, x: Floats, P: Floats, counts: Ints, motion: Floats, whole: Ints, real: Floats) -> bool:
-    held = int(counts[DIM] - 3) // 2
-    if held == 0 and counts[OBSERVED] == 0:
-        return False
-    full = new > 0 and held + new > int(whole[MAX_LANDMARKS])
-    if motion[0] == 0.0 and motion[1] == 0.0 and motion[2] == 0.0:
-        # A robot that stands still begins no sub-map, but a state must stay bounded.
-        return new > 0 and held + new > 2 * int(whole[MAX_LANDMARKS])
-    if full or counts[OBSERVED] < whole[MIN_OBSERVED]:
-        return full
-    heading = float(P[2, 2] + motion[NOISE + 8])
-    position = _position_variance(x, P, motion, whole[INVARIANT] != 0)
-    return heading > float(real[MAX_HEADING_VARIANCE]) or position > float(real[MAX_POSITION_VARIANCE])
-
-
-@jit()
 def _observe(
-    begin: int, end: int, landmark: Ints, z: Floats, R: Floats, own: NDArray[np.uint8], whole: Ints, real: Floats,
-    x: Floats, P: Floats, ids: Ints, counts: Ints, motion: Floats, slot_of: NDArray[np.int32], scratch: Floats,
-    nis: Floats, status: NDArray[np.uint8],
+    space: Key, begin: int, end: int, landmark: Ints, z: Floats, R: Floats, own: NDArray[np.uint8], whole: Ints,
+    real: Floats, x: Floats, P: Floats, ids: Ints, counts: Ints, motion: Floats, slot_of: NDArray[np.int32],
+    scratch: Floats, nis: Floats, status: NDArray[np.uint8], w: Workspace,
 ) -> None:  # fmt: skip
     """Predict with the pending increment, then take one step's observations in turn."""
-    u, a, b = scratch[0], scratch[1], scratch[2]
-    mount = real[MOUNT : MOUNT + 4]
+    dim, pose = len(space), 3 * len(space) - 3
+    U, A = scratch[: pose - dim], scratch[pose - dim : pose]
+    size = sensor_size(dim)
+    sensor, body = real[SENSOR : SENSOR + size], real[SENSOR + size : SENSOR + 2 * size]
     model, invariant = whole[MODEL], whole[INVARIANT] != 0
     observed = 0
-    has_u = predict(x, P, counts[DIM], motion, whole[INVARIANT], u)
-    for o in range(begin, end):
-        n = counts[DIM]
-        slot = slot_of[landmark[o]]
-        Ro = R[o if R.shape[0] > 1 else 0]
-        if own[o] != 0:
-            if has_u:
-                add_rank_one(P, n, u)
+    has_u = predict(space, x, P, counts[DIM], motion, whole[INVARIANT], U, w)
+    # Where each pose is found from what is seen, known landmarks come first: new ones are placed by them.
+    before = counts[DIM]
+    passes = 2 if whole[MOTIONLESS] != 0 and before > pose else 1
+    for take in range(passes):
+        for o in range(begin, end):
+            n = counts[DIM]
+            slot = slot_of[landmark[o]]
+            if passes == 2 and (take == 0) != (0 <= slot < before):
+                continue
+            Ro = R[o if R.shape[0] > 1 else 0]
+            if own[o] != 0:
+                if has_u:
+                    add(space, P, n, U)
+                    has_u = False
+                if slot < 0 and augment(space, x, P, n, CARTESIAN, body, w.nothing, w.mark, invariant, w):
+                    slot_of[landmark[o]] = n
+                    ids[(n - pose) // dim] = landmark[o]
+                    counts[DIM] = n + dim
+                continue
+            observed = 1
+            for c in range(z.shape[0]):
+                w.reading[c] = z[c, o]
+            if slot >= 0:
+                status[o], nis[o] = update(
+                    space, x, P, n, slot, model, sensor, w.reading, Ro, real[GATE], real[FLAG], invariant,
+                    U, has_u, A, w,
+                )  # fmt: skip
+                if status[o] == GATED or status[o] == SINGULAR:
+                    counts[REJECTED] += 1
+                    continue
                 has_u = False
-            if slot < 0 and augment(x, P, n, CARTESIAN, real[BODY : BODY + 4], 0.0, 0.0, Ro, invariant):
+                motion[NIS_SUM] += nis[o]
+                motion[NIS_COUNT] += 1.0
+            else:
+                if has_u:
+                    add(space, P, n, U)
+                    has_u = False
+                nis[o] = math.nan
+                if not augment(space, x, P, n, model, sensor, w.reading, Ro, invariant, w):
+                    status[o] = SINGULAR
+                    counts[REJECTED] += 1
+                    continue
+                status[o] = FIRST
                 slot_of[landmark[o]] = n
-                ids[(n - 3) // 2] = landmark[o]
-                counts[DIM] = n + 2
-            continue
-        observed = 1
-        if slot >= 0:
-            status[o], nis[o] = update(
-                x, P, n, slot, model, mount, z[0, o], z[1, o], Ro, real[GATE], real[FLAG], invariant, u, has_u, a, b
-            )
-            if status[o] == GATED or status[o] == SINGULAR:
-                counts[REJECTED] += 1
-                continue
-            has_u = False
-            motion[NIS_SUM] += nis[o]
-            motion[NIS_COUNT] += 1.0
-        else:
-            if has_u:
-                add_rank_one(P, n, u)
-                has_u = False
-            nis[o] = math.nan
-            if not augment(x, P, n, model, mount, z[0, o], z[1, o], Ro, invariant):
-                status[o] = SINGULAR
-                counts[REJECTED] += 1
-                continue
-            status[o] = FIRST
-            slot_of[landmark[o]] = n
-            ids[(n - 3) // 2] = landmark[o]
-            counts[DIM] = n + 2
-        counts[OBSERVATIONS] += 1
+                ids[(n - pose) // dim] = landmark[o]
+                counts[DIM] = n + dim
+            counts[OBSERVATIONS] += 1
     if has_u:
-        add_rank_one(P, counts[DIM], u)
+        add(space, P, counts[DIM], U)
     counts[OBSERVED] += observed
 
 
-@jit(
-    "UniTuple(int64, 2)(int64, boolean, float64[:, ::1], float64[:, :, ::1], int64[::1], int64[::1], int64[::1],"
+@jit()
+def _located(
+    space: Key, begin: int, end: int, landmark: Ints, z: Floats, R: Floats, whole: Ints, real: Floats, x: Floats,
+    P: Floats, counts: Ints, slot_of: NDArray[np.int32], w: Workspace,
+) -> bool:  # fmt: skip
+    """Whether the robot's pose is known before a step's observations; without motion, they have to say it."""
+    if len(space) == 2 or whole[MOTIONLESS] == 0 or counts[DIM] == 6:
+        return True
+    sensor = real[SENSOR : SENSOR + sensor_size(3)]
+    return relocalise(space, x, P, counts[DIM], begin, end, landmark, z, R, whole[MODEL], sensor, slot_of, w)
+
+
+@jit()
+def _present(space: Key, x: Floats, pending: Floats, out: Floats, w: Workspace) -> None:
+    """The pose with the pending increment composed onto it, into ``out`` (pose,)."""
+    if len(space) == 2:
+        sine, cosine = sincos(x[2])
+        out[0] = x[0] + cosine * pending[0] - sine * pending[1]
+        out[1] = x[1] + sine * pending[0] + cosine * pending[1]
+        out[2] = wrap(x[2] + pending[2])
+    else:
+        so3.matrix(x[3], x[4], x[5], w.rotation)
+        for i in range(3):
+            out[i] = x[i]
+            for j in range(3):
+                out[i] += w.rotation[i, j] * pending[j]
+        turned = _quaternion(pending[3], pending[4], pending[5])
+        out[3], out[4], out[5] = _rotation_vector(_multiply(_quaternion(x[3], x[4], x[5]), turned))
+
+
+_TYPES = (
+    "int64, boolean, float64[:, ::1], float64[:, :, ::1], int64[::1], int64[::1], int64[::1],"
     "float64[:, ::1], float64[:, :, ::1], uint8[::1], int64[::1], float64[::1], float64[::1], float64[:, ::1],"
     "int64[::1], int64[::1], float64[::1], int32[::1], float64[:, ::1], float64[::1], uint8[::1], float64[:, ::1],"
-    "int32[::1], int64[:, ::1], float64[::1], int64[::1], int64[::1])",
+    "int32[::1], int64[:, ::1], float64[::1], int64[::1], int64[::1])"
+)
+
+
+@jit(
+    "UniTuple(int64, 2)(UniTuple(int64, 2), " + _TYPES,
+    "UniTuple(int64, 2)(UniTuple(int64, 3), " + _TYPES,
     unlocked=True,
 )
 def walk(
-    step: int, resumed: bool, increments: Floats, noises: Floats, control_step: Ints, observation_step: Ints,
-    landmark: Ints, z: Floats, R: Floats, own: NDArray[np.uint8], whole: Ints, real: Floats, x: Floats, P: Floats,
-    ids: Ints, counts: Ints, motion: Floats, slot_of: NDArray[np.int32], scratch: Floats, nis: Floats,
-    status: NDArray[np.uint8], track: Floats, chapter: NDArray[np.int32],
+    space: Key, step: int, resumed: bool, increments: Floats, noises: Floats, control_step: Ints,
+    observation_step: Ints, landmark: Ints, z: Floats, R: Floats, own: NDArray[np.uint8], whole: Ints, real: Floats,
+    x: Floats, P: Floats, ids: Ints, counts: Ints, motion: Floats, slot_of: NDArray[np.int32], scratch: Floats,
+    nis: Floats, status: NDArray[np.uint8], track: Floats, chapter: NDArray[np.int32],
     shelf_whole: Ints, shelf_reals: Floats, shelf_ids: Ints, fill: Ints,
 ) -> tuple[int, int]:  # fmt: skip
     """Apply the steps from ``step`` on to the active sub-map and those that follow it; (event, step).
@@ -172,36 +184,46 @@ def walk(
     before. Events: DONE; GENESIS, where the shelf has no room for a sub-map that must close before
     this step's observations; GROW, where the state's arrays are too small for them.
     """
-    noise = motion[NOISE : NOISE + 9].reshape(3, 3)
+    dim = len(space)
+    w = workspace(space)
+    pending, noise = pending_of(space, motion)
     c = int(np.searchsorted(control_step, step + (1 if resumed else 0)))
     i = int(np.searchsorted(observation_step, step))
     while step < track.shape[0]:
         if not resumed and c < control_step.shape[0] and control_step[c] == step:
-            accumulate(motion[:3], noise, increments[c], noises[c])
+            if len(space) == 2:
+                accumulate(pending, noise, increments[c], noises[c])
+            else:
+                accumulate_in_space(pending, noise, increments[c], noises[c], w)
             c += 1
         resumed = False
         end, marked = i, False
         while end < observation_step.shape[0] and observation_step[end] == step:
             end += 1
+        if end > i and not _located(space, i, end, landmark, z, R, whole, real, x, P, counts, slot_of, w):
+            nis[i:end] = math.nan
+            status[i:end] = LOST
+            counts[REJECTED] += end - i
+            i = end
         if end > i:
             new = _new_landmarks(landmark, slot_of, i, end)
-            if _wants_genesis(new, x, P, counts, motion, whole, real):
+            if wants_genesis(space, new, x, P, counts, motion, whole, real, w):
                 if not close(
-                    step, x, P, ids, counts, motion, whole[INVARIANT], slot_of, scratch,
-                    shelf_whole, shelf_reals, shelf_ids, fill,
+                    space, step, x, P, ids, counts, motion, whole, slot_of, scratch,
+                    shelf_whole, shelf_reals, shelf_ids, fill, w,
                 ):  # fmt: skip
                     return GENESIS, step
                 new = _new_landmarks(landmark, slot_of, i, end)
-            if counts[DIM] + 2 * new > P.shape[0]:
+            if counts[DIM] + dim * new > P.shape[0]:
                 return GROW, step
             marked = own[i] == 2
-            _observe(i, end, landmark, z, R, own, whole, real, x, P, ids, counts, motion, slot_of, scratch, nis, status)
+            _observe(
+                space, i, end, landmark, z, R, own, whole, real, x, P, ids, counts, motion, slot_of, scratch,
+                nis, status, w,
+            )  # fmt: skip
             i = end
         counts[STEPS] += not marked
-        sine, cosine = sincos(x[2])
-        track[step, 0] = x[0] + cosine * motion[0] - sine * motion[1]
-        track[step, 1] = x[1] + sine * motion[0] + cosine * motion[1]
-        track[step, 2] = wrap(x[2] + motion[2])
+        _present(space, x, pending, track[step], w)
         chapter[step] = fill[CLOSED]
         step += 1
     return DONE, step

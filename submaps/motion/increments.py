@@ -9,17 +9,19 @@ from numpy.typing import NDArray
 
 from submaps._jit import jit
 from submaps.config import MotionConfig
-from submaps.filtering.kernel import accumulate
+from submaps.filtering.predicting import accumulate, accumulate_in_space
+from submaps.filtering.workspace import workspace
+from submaps.geometry.space import SPACES, Key
 from submaps.measurements import Batch, Ints
 from submaps.motion import ackermann, bicycle, odometry, velocity
 
 Floats = NDArray[np.float64]
 
-_odometry = odometry.increment
+_odometry, _odometry_in_space = odometry.increment, odometry.increment_in_space
 _velocity = velocity.increment
 _bicycle = bicycle.increment
 _ackermann = ackermann.increment
-MODELS = {"odometry": 0, "velocity": 1, "bicycle": 2, "ackermann": 3}
+MODELS = {"odometry": 0, "velocity": 1, "bicycle": 2, "ackermann": 3, "odometry3d": 4, "none": 5}
 # s. Over a shorter interval a density's noise no longer grows: its reciprocal has to stay finite.
 SHORTEST = 1e-9
 
@@ -39,6 +41,8 @@ def _increments(
             _odometry(control[:, k], noise, out[k], out_covariance[k])
         elif model == 1:
             _velocity(control[:, k], noise, lateral, dt[k], out[k], out_covariance[k])
+        elif model == 4:
+            _odometry_in_space(control[:, k], noise, out[k], out_covariance[k])
         elif model == 2:
             _bicycle(control[:, k], noise, wheelbase, dt[k], out[k], out_covariance[k])
         else:
@@ -46,8 +50,9 @@ def _increments(
 
 
 def increments(config: MotionConfig, batch: Batch, previous_t: float | None) -> tuple[Floats, Floats]:
-    """Increments (c, 3) and covariances (c, 3, 3), order (x, y, theta), of a batch's controls.
+    """Increments (c, pose) and covariances (c, pose, pose) of a batch's controls, pose 3 or 6 numbers.
 
+    The order is (x, y, theta), in space (x, y, z, rotation vector), the errors those of ``geometry.space``.
     Each control covers the time from the step before it (``previous_t`` for the first; ``None``
     for a robot's very first step, whose control has no duration).
     """
@@ -57,9 +62,9 @@ def increments(config: MotionConfig, batch: Batch, previous_t: float | None) -> 
     dt = (batch.t - before)[batch.control_step]
     covariance, slip = _noise(config, batch.control_covariance, dt)
     wheelbase, offset = config.wheelbase or 0.0, config.encoder_offset
-    count = batch.control.shape[1]
-    out = np.empty((count, 3))
-    out_covariance = np.empty((count, 3, 3))
+    count, pose = batch.control.shape[1], SPACES[config.space].pose
+    out = np.empty((count, pose))
+    out_covariance = np.empty((count, pose, pose))
     _increments(
         MODELS[config.model], wheelbase, offset, batch.control, covariance, slip, dt, out, out_covariance
     )  # fmt: skip
@@ -74,7 +79,7 @@ def _noise(config: MotionConfig, own: Floats | None, dt: Floats) -> tuple[Floats
     covariance, slip = _of_model(config)
     if config.noise == "density":
         # A velocity of variance sigma²/dt moves by one of sigma² dt, as an increment does by itself.
-        share = dt if config.model == "odometry" else 1.0 / np.maximum(dt, SHORTEST)
+        share = dt if config.model in ("odometry", "odometry3d") else 1.0 / np.maximum(dt, SHORTEST)
         covariance, slip = covariance * share[:, np.newaxis, np.newaxis], slip * np.sqrt(share)
     if own is not None and own.shape[0]:
         covariance = np.where(np.isnan(own[:, :1, :1]), covariance, own)
@@ -88,17 +93,25 @@ def _of_model(config: MotionConfig) -> tuple[Floats, Floats]:
     return np.diag(np.square(config.sigma[:channels]))[np.newaxis], np.array(config.sigma[channels:] or (0.0,))
 
 
-@jit("void(float64[::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], int64[::1], float64[:, ::1])")
-def dead_reckon(
-    pose: Floats, covariance: Floats, steps: Floats, noises: Floats, control_step: Ints, track: Floats
-) -> None:
-    """Compose increments (c, 3) onto a pose (3,) and its covariance (3, 3), in place.
+_ARRAYS = "float64[::1], float64[:, ::1], float64[:, ::1], float64[:, :, ::1], int64[::1], float64[:, ::1])"
 
-    ``track`` (n, 3) receives the pose after each step; increment k belongs to ``control_step[k]``.
+
+@jit("void(UniTuple(int64, 2), " + _ARRAYS, "void(UniTuple(int64, 3), " + _ARRAYS)
+def dead_reckon(
+    space: Key, pose: Floats, covariance: Floats, steps: Floats, noises: Floats, control_step: Ints, track: Floats
+) -> None:
+    """Compose increments (c, pose) onto a pose and its covariance (pose, pose), in place.
+
+    ``track`` (n, pose) receives the pose after each step; increment k belongs to ``control_step[k]``.
     """
+    w = workspace(space)
     k = 0
     for step in range(track.shape[0]):
         if k < control_step.shape[0] and control_step[k] == step:
-            accumulate(pose, covariance, steps[k], noises[k])
+            if len(space) == 2:
+                accumulate(pose, covariance, steps[k], noises[k])
+            else:
+                accumulate_in_space(pose, covariance, steps[k], noises[k], w)
             k += 1
-        track[step, 0], track[step, 1], track[step, 2] = pose[0], pose[1], pose[2]
+        for i in range(pose.shape[0]):
+            track[step, i] = pose[i]

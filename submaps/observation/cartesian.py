@@ -1,4 +1,4 @@
-"""Cartesian: a landmark's coordinates in the sensor's frame."""
+"""Cartesian: a landmark's coordinates in the sensor's frame, in two dimensions or three."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ Floats = NDArray[np.float64]
 
 
 @jit()
-def predict(y0: float, y1: float, mount: Floats) -> tuple[float, float, float, float, float, float]:
-    """z = R_m^T (y - m) of a body-frame point y (m), and dz/dy (2, 2) row by row.
-
-    ``mount`` is (x m, y m, cos, sin) of the sensor in the body.
-    """
-    c, s = mount[2], mount[3]
-    d0, d1 = y0 - mount[0], y1 - mount[1]
-    return c * d0 + s * d1, -s * d0 + c * d1, c, s, -s, c
+def predict(s: Floats, h: Floats, J: Floats) -> None:
+    """z = s (m) of a point s in the sensor's frame, and dz/ds = I."""
+    for i in range(s.shape[0]):
+        h[i] = s[i]
+        for j in range(s.shape[0]):
+            J[i, j] = 1.0 if i == j else 0.0
 
 
 @jit()
-def invert(z0: float, z1: float, mount: Floats) -> tuple[float, float, float, float, float, float]:
-    """y = R_m z + m, the body-frame point (m) that a reading shows, and dy/dz (2, 2) row by row."""
-    c, s = mount[2], mount[3]
-    return mount[0] + c * z0 - s * z1, mount[1] + s * z0 + c * z1, c, -s, s, c
+def invert(z: Floats, s: Floats, J: Floats) -> None:
+    """s = z (m), and ds/dz = I."""
+    for i in range(s.shape[0]):
+        s[i] = z[i]
+        for j in range(s.shape[0]):
+            J[i, j] = 1.0 if i == j else 0.0

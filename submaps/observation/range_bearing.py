@@ -14,26 +14,25 @@ Floats = NDArray[np.float64]
 
 
 @jit()
-def predict(y0: float, y1: float, mount: Floats) -> tuple[float, float, float, float, float, float]:
-    """z = (|s| m, atan2(s_y, s_x) rad) with s = R_m^T (y - m), and dz/dy (2, 2) row by row.
+def predict(s: Floats, h: Floats, J: Floats) -> None:
+    """z = (|s| m, atan2(s_y, s_x) rad) of a point s (m) in the sensor's frame, and dz/ds.
 
     Not finite at s = 0, where a bearing means nothing; the kernel reports that as singular.
     """
-    c, s = mount[2], mount[3]
-    d0, d1 = y0 - mount[0], y1 - mount[1]
-    squared = d0 * d0 + d1 * d1
+    squared = s[0] * s[0] + s[1] * s[1]
     distance = math.sqrt(squared)
-    bearing = arctan2(-s * d0 + c * d1, c * d0 + s * d1)
-    return distance, bearing, d0 / distance, d1 / distance, -d1 / squared, d0 / squared
+    h[0], h[1] = distance, arctan2(s[1], s[0])
+    J[0, 0], J[0, 1] = s[0] / distance, s[1] / distance
+    J[1, 0], J[1, 1] = -s[1] / squared, s[0] / squared
 
 
 @jit()
-def invert(z0: float, z1: float, mount: Floats) -> tuple[float, float, float, float, float, float]:
-    """y = R_m (r cos b, r sin b) + m (m), and dy/dz (2, 2) row by row.
+def invert(r: float, b: float, s: Floats, J: Floats) -> None:
+    """s = (r cos b, r sin b) (m) of a range (m) and a bearing (rad), and ds/d(r, b).
 
     The lecture's inverse observation model with its sine and cosine in their proper places.
     """
-    s, c = sincos(z1)
-    u0 = mount[2] * c - mount[3] * s
-    u1 = mount[3] * c + mount[2] * s
-    return mount[0] + z0 * u0, mount[1] + z0 * u1, u0, -z0 * u1, u1, z0 * u0
+    sine, cosine = sincos(b)
+    s[0], s[1] = r * cosine, r * sine
+    J[0, 0], J[0, 1] = cosine, -r * sine
+    J[1, 0], J[1, 1] = sine, r * cosine

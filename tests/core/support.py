@@ -14,13 +14,8 @@ from numpy.typing import NDArray
 
 from submaps.atlas.state import AtlasState, RobotState
 from submaps.config import MapConfig, MotionConfig, ObservationConfig
-from submaps.consistency import chi_square_bound
-from submaps.filtering.closing import Shelf, flush
-from submaps.filtering.layout import DIM, DONE
-from submaps.filtering.walk import walk
 from submaps.measurements import Batch
-from submaps.observation.models import MODELS
-from submaps.submap import ActiveSubmap, Submap
+from submaps.submap import Submap
 
 Floats = NDArray[np.float64]
 _STENCIL = ((1, 45.0), (2, -9.0), (3, 1.0))  # seventh point weighs nothing: error of order h^6
@@ -92,136 +87,6 @@ def after(pose: Floats, increment: Floats) -> Floats:
 def relative(a: Floats, b: Floats) -> Floats:
     """T_a_b of two poses."""
     return np.array([*(R(a[2]).T @ (b[:2] - a[:2])), wrapped(b[2] - a[2])])
-
-
-def seen(model: str, mount: Sequence[float], x: Floats, slot: int) -> Floats:
-    """The reading of a landmark in the state, without noise."""
-    body = R(x[2]).T @ (x[slot : slot + 2] - x[:2])
-    local = R(mount[2]).T @ (body - np.array(mount[:2]))
-    if model == "cartesian":
-        return np.asarray(local)
-    return np.array([np.hypot(*local), np.arctan2(local[1], local[0])])
-
-
-def shown(model: str, mount: Sequence[float], x: Floats, z: Floats) -> Floats:
-    """The landmark that a reading shows from the pose in the state."""
-    local = z if model == "cartesian" else z[0] * np.array([np.cos(z[1]), np.sin(z[1])])
-    out: Floats = x[:2] + R(x[2]) @ (np.array(mount[:2]) + R(mount[2]) @ local)
-    return out
-
-
-@dataclass
-class DenseFilter:
-    """An EKF in either error by numeric Jacobians and dense algebra, nothing clever."""
-
-    x: Floats
-    P: Floats
-    invariant: bool
-    model: str
-    mount: tuple[float, float, float]
-
-    def predict(self, increment: Floats, noise: Floats) -> None:
-        """Through a body-frame increment with additive noise."""
-        x, n = self.x, self.x.shape[0]
-        new = np.concatenate([after(x, increment), x[3:]])
-
-        def error(both: Floats) -> Floats:
-            true = plus(x, both[:n], self.invariant)
-            moved = np.concatenate([after(true, increment + both[n:]), true[3:]])
-            return minus(moved, new, self.invariant)
-
-        J = jacobian(error, np.zeros(n + 3))
-        self.x, self.P = new, J[:, :n] @ self.P @ J[:, :n].T + J[:, n:] @ noise @ J[:, n:].T
-
-    def update(self, slot: int, z: Floats, noise: Floats) -> float:
-        """By one observation; the normalised innovation squared."""
-        x, n = self.x, self.x.shape[0]
-        expected = seen(self.model, self.mount, x, slot)
-
-        def predicted(xi: Floats) -> Floats:
-            difference = seen(self.model, self.mount, plus(x, xi, self.invariant), slot) - expected
-            if self.model == "range_bearing":
-                difference[1] = wrapped(difference[1])
-            return difference
-
-        H = jacobian(predicted, np.zeros(n))
-        v = z - expected
-        if self.model == "range_bearing":
-            v[1] = wrapped(v[1])
-        S = H @ self.P @ H.T + noise
-        K = np.linalg.solve(S, H @ self.P).T
-        self.x = plus(x, K @ v, self.invariant)
-        self.P = self.P - K @ S @ K.T
-        return float(v @ np.linalg.solve(S, v))
-
-    def augment(self, z: Floats, noise: Floats) -> None:
-        """By the landmark that a reading shows."""
-        x, n = self.x, self.x.shape[0]
-        new = np.concatenate([x, shown(self.model, self.mount, x, z)])
-
-        def error(both: Floats) -> Floats:
-            true = plus(x, both[:n], self.invariant)
-            return minus(np.concatenate([true, shown(self.model, self.mount, true, z + both[n:])]), new, self.invariant)
-
-        J = jacobian(error, np.zeros(n + 2))
-        self.x, self.P = new, J[:, :n] @ self.P @ J[:, :n].T + J[:, n:] @ noise @ J[:, n:].T
-
-
-MOUNT = (0.7, -0.3, 0.4)
-
-
-class Kernel:
-    """One sub-map driven through the compiled walk, step by step, without genesis."""
-
-    def __init__(self, invariant: bool, model: str, gate: float = math.inf, mount: tuple[float, ...] = MOUNT) -> None:
-        self.submap = ActiveSubmap(0, 0, 0.0, 40)
-        self.invariant = invariant
-        self._slots = np.full(64, -1, dtype=np.int32)
-        self._whole = np.array([MODELS[model], int(invariant), 1000, 1], dtype=np.int64)
-        c, s = math.cos(mount[2]), math.sin(mount[2])
-        bounds = [gate, chi_square_bound(0.9999, 2), math.inf, math.inf]
-        self._real = np.array([mount[0], mount[1], c, s, *bounds, 0.0, 0.0, 1.0, 0.0])
-
-    def set(self, x: Floats, P: Floats) -> None:
-        """Start from a state; landmark i lies at entry 3 + 2 i."""
-        s, n = self.submap, x.shape[0]
-        s.x[:n], s.P[:n, :n], s.counts[DIM] = x, P, n
-        count = (n - 3) // 2
-        s.ids[:count], self._slots[:count] = np.arange(count), np.arange(3, n, 2)
-
-    def step(
-        self, increment: Floats | None, noise: Floats | None, sightings: list[tuple[int, Floats]], R: Floats
-    ) -> tuple[list[int], list[float]]:
-        """One step; status and normalised innovation squared of each observation."""
-        s, count = self.submap, len(sightings)
-        controls = 0 if increment is None else 1
-        status, nis = np.full(count, 99, dtype=np.uint8), np.empty(count)
-        z = np.ascontiguousarray(np.array([z for _, z in sightings]).reshape(-1, 2).T)
-        shelf = Shelf(1, 1)
-        event, after = walk(
-            0, False, np.zeros((controls, 3)) + (0.0 if increment is None else increment),
-            np.zeros((controls, 3, 3)) + (0.0 if noise is None else noise), np.zeros(controls, dtype=np.int64),
-            np.zeros(count, dtype=np.int64), np.array([i for i, _ in sightings], dtype=np.int64), z, R[np.newaxis],
-            np.zeros(count, dtype=np.uint8), self._whole, self._real, s.x, s.P, s.ids, s.counts, s.motion, self._slots,
-            s.scratch, nis, status, np.empty((1, 3)), np.empty(1, dtype=np.int32),
-            shelf.whole, shelf.reals, shelf.ids, shelf.fill,
-        )  # fmt: skip
-        assert (event, after) == (DONE, 1)
-        return [int(v) for v in status], [float(v) for v in nis]
-
-    def predict(self, invariant: bool) -> None:
-        """Take the pending increment into the state."""
-        s = self.submap
-        flush(s.x, s.P, s.counts, s.motion, invariant, s.scratch)
-
-    @property
-    def x(self) -> Floats:
-        return self.submap.x[: self.submap.dimension].copy()
-
-    @property
-    def P(self) -> Floats:
-        n = self.submap.dimension
-        return self.submap.P[:n, :n].copy()
 
 
 # -- batches -----------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from submaps.atlas.joining import join
 from submaps.config import MapConfig, MotionConfig, ObservationConfig
 from submaps.consistency import average_bounds
 from submaps.encounters import Columns, with_marks
-from submaps.filtering.kernel import accumulate
+from submaps.filtering.predicting import accumulate
 from submaps.geometry.se2 import between
 from submaps.mapper import Mapper
 from submaps.measurements import Batch, as_encounter, encounter

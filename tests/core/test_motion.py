@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from submaps.config import MotionConfig
 from submaps.errors import ConfigError
 from submaps.filtering.closing import flush
+from submaps.geometry.space import PLANE
 from submaps.motion.increments import dead_reckon, increments
 from submaps.motion.limits import followable
 from submaps.submap import ActiveSubmap
@@ -199,7 +200,7 @@ def test_the_encoder_of_victoria_park_is_on_the_left(data_dir: Path) -> None:
     for offset in (H, 0.0, -H):
         steps, noises = increments(replace(VEHICLES["ackermann"], encoder_offset=offset), sent, None)
         track = np.empty((sent.steps, 3))
-        dead_reckon(np.zeros(3), np.zeros((3, 3)), steps, noises, sent.control_step, track)
+        dead_reckon(PLANE.key, np.zeros(3), np.zeros((3, 3)), steps, noises, sent.control_step, track)
         antenna = np.stack([after(pose, np.array([3.78, 0.5, 0.0]))[:2] for pose in track])
         there = np.stack([np.interp(fixes[:, 0], t_ms, column) for column in antenna.T], axis=1)
         a, b = there - there.mean(axis=0), fixes[:, 1:] - fixes[:, 1:].mean(axis=0)
@@ -238,7 +239,7 @@ def split(config: MotionConfig, control: tuple[float, ...], parts: int) -> Float
     sent = batch([Step(each, t=(k + 1) / parts) for k in range(parts)])
     steps, noises = increments(config, sent, 0.0)
     pose, covariance = np.zeros(3), np.zeros((3, 3))
-    dead_reckon(pose, covariance, steps, noises, sent.control_step, np.empty((parts, 3)))
+    dead_reckon(PLANE.key, pose, covariance, steps, noises, sent.control_step, np.empty((parts, 3)))
     return covariance
 
 
@@ -309,7 +310,7 @@ def test_dead_reckoning_composes_poses_and_their_errors() -> None:
         P = J[:, :3] @ P @ J[:, :3].T + J[:, 3:] @ noise @ J[:, 3:].T
         expected = after(expected, step)
     at, track = np.arange(30) * 2 + 1, np.empty((61, 3))
-    dead_reckon(pose, covariance, steps, noises, at, track)
+    dead_reckon(PLANE.key, pose, covariance, steps, noises, at, track)
     assert np.array_equal(track[0], np.zeros(3))
     assert np.array_equal(track[2:60:2], track[1:59:2])  # a step without control stays where it is
     assert np.array_equal(track[60], pose)
@@ -335,11 +336,13 @@ def test_accumulated_increments_predict_like_each_in_turn(invariant: bool) -> No
     steps = np.random.default_rng(3).normal(size=(20, 3)) * (1.0, 0.3, 0.5)
     noises = np.stack([random_covariance(np.random.default_rng(k), 3, 0.05) for k in range(20)])
     once, each = generic(np.random.default_rng(4), 3), generic(np.random.default_rng(4), 3)
-    dead_reckon(once.motion[:3], once.motion[3:12].reshape(3, 3), steps, noises, np.arange(20), np.empty((20, 3)))
-    flush(once.x, once.P, once.counts, once.motion, int(invariant), once.scratch)
+    dead_reckon(
+        PLANE.key, once.motion[2:5], once.motion[5:].reshape(3, 3), steps, noises, np.arange(20), np.empty((20, 3))
+    )
+    flush(once.space.key, once.x, once.P, once.counts, once.motion, int(invariant), once.scratch)
     for step, noise in zip(steps, noises, strict=True):
         each.motion[:3], each.motion[3:12] = step, noise.ravel()
-        flush(each.x, each.P, each.counts, each.motion, int(invariant), each.scratch)
+        flush(each.space.key, each.x, each.P, each.counts, each.motion, int(invariant), each.scratch)
     n = once.dimension
     assert np.allclose(once.x[:n], each.x[:n], rtol=0.0, atol=1e-12)
     scale = np.sqrt(np.outer(np.diag(each.P[:n, :n]), np.diag(each.P[:n, :n])))

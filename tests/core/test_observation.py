@@ -8,70 +8,88 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from submaps.observation.models import CARTESIAN, MODELS, RANGE_BEARING, innovation, invert, predict
-from tests.core.support import jacobian, seen, shown
+from submaps.config import ObservationConfig
+from submaps.observation.models import MODELS, reading, sensor_of, shown
+from tests.core import filters
+from tests.core.filters import SENSORS, difference, seen, space_of, with_prior
+from tests.core.support import jacobian
 
 Floats = NDArray[np.float64]
-MOUNTS = [(0.0, 0.0, 0.0), (0.7, -0.3, 0.4), (-1.2, 0.5, math.pi), (3.6, 0.5, -2.0)]
-NAMES = {number: name for name, number in MODELS.items()}
-POINTS = [np.array(p) for p in ((10.0, 4.0), (-7.0, 2.0), (3.0, -9.0), (-8.0, -8.0), (120.0, 0.0))]
-
-cases = pytest.mark.parametrize("model", sorted(NAMES))
-mounts = pytest.mark.parametrize("mount", MOUNTS)
+every = pytest.mark.parametrize("name", sorted(SENSORS))
+PLANAR = [np.array(p) for p in ((10.0, 4.0), (-7.0, 2.0), (3.0, -9.0), (-8.0, -8.0), (120.0, 0.0))]
+# In front of the camera, whose mount looks about along the body's x axis.
+SOLID = [np.array(p) for p in ((10.0, 4.0, 1.0), (7.0, -2.0, 3.0), (23.0, 9.0, -6.0), (120.0, 0.0, 2.0))]
 
 
-def raw(mount: tuple[float, float, float]) -> Floats:
-    """A mount as the kernel takes it."""
-    return np.array([mount[0], mount[1], math.cos(mount[2]), math.sin(mount[2])])
+def points(name: str) -> list[Floats]:
+    return PLANAR if space_of(SENSORS[name]).dim == 2 else SOLID
 
 
-@cases
-@mounts
-def test_the_reading_is_what_the_sensor_would_see(model: int, mount: tuple[float, float, float]) -> None:
-    for y in POINTS:
-        expected = seen(NAMES[model], mount, np.array([0.0, 0.0, 0.0, *y]), 3)
-        h = predict(model, float(y[0]), float(y[1]), raw(mount))[:2]
-        difference = innovation(model, float(expected[0]), float(expected[1]), *h)
-        assert difference == pytest.approx((0.0, 0.0), abs=1e-12)
-        back = invert(model, float(expected[0]), float(expected[1]), raw(mount))[:2]
-        assert back == pytest.approx(tuple(shown(NAMES[model], mount, np.zeros(3), expected)), abs=1e-12)
+def at(sensor: ObservationConfig, y: Floats) -> tuple[Floats, int]:
+    """A state with the robot at the origin and the landmark at y, and the landmark's place."""
+    pose = space_of(sensor).pose
+    return np.concatenate([np.zeros(pose), y]), pose
 
 
-@cases
-@mounts
-def test_inversion_undoes_prediction(model: int, mount: tuple[float, float, float]) -> None:
-    for y in POINTS:
-        h = predict(model, float(y[0]), float(y[1]), raw(mount))
-        back = invert(model, h[0], h[1], raw(mount))
-        assert back[:2] == pytest.approx(tuple(y), rel=1e-13, abs=1e-12)
-        forth = np.array(h[2:]).reshape(2, 2) @ np.array(back[2:]).reshape(2, 2)
-        assert np.allclose(forth, np.eye(2), atol=1e-12)
+def ours(sensor: ObservationConfig, y: Floats) -> tuple[Floats, Floats]:
+    space = space_of(sensor)
+    return reading(space.key, MODELS[sensor.model], sensor_of(space, sensor), y)
 
 
-@cases
-@mounts
-def test_derivatives(model: int, mount: tuple[float, float, float]) -> None:
-    m = raw(mount)
-    for y in POINTS:
-        at = predict(model, float(y[0]), float(y[1]), m)
-
-        def h(v: Floats, at: tuple[float, ...] = at) -> Floats:
-            z = predict(model, float(v[0]), float(v[1]), m)
-            return np.array(innovation(model, z[0], z[1], at[0], at[1]))
-
-        def y_of(z: Floats) -> Floats:
-            return np.array(invert(model, float(z[0]), float(z[1]), m)[:2])
-
-        assert np.allclose(np.array(at[2:]).reshape(2, 2), jacobian(h, y), rtol=1e-8, atol=1e-10)
-        inverse = invert(model, at[0], at[1], m)
-        assert np.allclose(np.array(inverse[2:]).reshape(2, 2), jacobian(y_of, np.array(at[:2])), rtol=1e-8, atol=1e-9)
+def test_every_model_has_its_row() -> None:
+    assert {SENSORS[name].model for name in SENSORS} == set(MODELS)
 
 
-def test_a_bearing_difference_goes_the_short_way() -> None:
-    assert innovation(RANGE_BEARING, 5.0, 3.1, 4.0, -3.1) == pytest.approx((1.0, 6.2 - 2.0 * math.pi))
-    assert innovation(CARTESIAN, 5.0, 3.1, 4.0, -3.1) == pytest.approx((1.0, 6.2))
+@every
+def test_the_reading_is_what_the_sensor_would_see(name: str) -> None:
+    sensor = SENSORS[name]
+    for y in points(name):
+        h, _ = ours(sensor, y)
+        assert np.allclose(difference(sensor, h, seen(sensor, *at(sensor, y))), 0.0, atol=1e-11)
+
+
+@every
+def test_derivatives_agree_with_central_differences(name: str) -> None:
+    sensor = SENSORS[name]
+    for y in points(name):
+        h, H = ours(sensor, y)
+        numeric = jacobian(lambda v, h=h: difference(sensor, ours(sensor, v)[0], h), y)
+        assert np.abs(H - numeric).max() <= 1e-6 * np.abs(H).max()
+
+
+@every
+def test_a_measurement_inverted_is_the_point_with_its_noise_carried_over(name: str) -> None:
+    sensor, rng = SENSORS[name], np.random.default_rng(1)
+    space, c = space_of(sensor), len(sensor.channels)
+    root = rng.normal(size=(c, c)) * 0.05
+    R = root @ root.T + 1e-4 * np.eye(c)
+    for y in points(name):
+        state, slot = at(sensor, y)
+        z, noise = with_prior(sensor, seen(sensor, state, slot), R)
+        point, W = shown(space.key, MODELS[sensor.model], sensor_of(space, sensor), z[:c].copy(), R)
+        if sensor.depth is None:
+            assert np.allclose(point, y, rtol=1e-12, atol=1e-11)
+        assert np.allclose(point, filters.shown(sensor, state, z), rtol=1e-12)
+        J = jacobian(lambda v, state=state: filters.shown(sensor, state, v), z, 1e-3)
+        assert np.allclose(W, J @ noise @ J.T, rtol=1e-7, atol=1e-12)
 
 
 def test_a_bearing_to_the_sensor_itself_is_not_finite() -> None:
-    at_sensor = predict(RANGE_BEARING, 0.7, -0.3, raw(MOUNTS[1]))
-    assert not all(math.isfinite(v) for v in at_sensor)
+    for name in ("range_bearing", "bearing"):
+        sensor = SENSORS[name]
+        h, H = ours(sensor, np.array(sensor.mount[:2]))
+        assert not np.isfinite(np.append(H.ravel(), h)).all()
+
+
+@pytest.mark.parametrize("name", ["stereo", "pinhole"])
+def test_what_lies_behind_a_camera_has_no_reading(name: str) -> None:
+    h, _ = ours(SENSORS[name], np.array([-5.0, 0.0, 0.0]))
+    assert not np.isfinite(h).any()
+
+
+def test_a_pair_of_pixels_without_disparity_shows_no_point() -> None:
+    sensor, space = SENSORS["stereo"], space_of(SENSORS["stereo"])
+    for right in (300.0, 301.0):
+        z = np.array([300.0, 200.0, right, 200.0])
+        point, _ = shown(space.key, MODELS["stereo"], sensor_of(space, sensor), z, np.eye(4))
+        assert not any(math.isfinite(v) for v in point)

@@ -16,7 +16,7 @@ from submaps.batch import optimum
 from submaps.chains import chain, place_at, place_of_steps
 from submaps.config import MotionConfig
 from submaps.errors import NumericalError
-from submaps.filtering.kernel import accumulate
+from submaps.filtering.predicting import accumulate
 from submaps.fleet_batch import FleetOptimum, Guess, fleet_optimum
 from submaps.fleet_problem import cauchy, problem_of
 from submaps.geometry.se2 import between, compose
