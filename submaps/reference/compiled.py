@@ -1,6 +1,6 @@
 """The compiled kernel and the main path's observation models, as the references take them.
 
-Everything in these folders that calls compiled functions of the main path calls them through here.
+Everything in this folder that calls compiled functions of the main path's filter calls them through here.
 """
 
 from __future__ import annotations
@@ -12,10 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
+from submaps.config import ObservationConfig
 from submaps.filtering import kernel
-from submaps.filtering.kernel import USED, add_rank_one, predict_invariant, predict_standard
+from submaps.filtering.kernel import USED
+from submaps.filtering.passes import add
+from submaps.filtering.predicting import predict_invariant, predict_standard
+from submaps.filtering.workspace import workspace
+from submaps.geometry.space import SPACES, Key, Space
 from submaps.observation import models
-from submaps.observation.models import MODELS
+from submaps.observation.models import MODELS, sensor_of
 from submaps.reference.ekf import Estimate
 
 Floats = NDArray[np.float64]
@@ -26,71 +31,96 @@ _augment, _update = kernel.augment, kernel.update
 
 @dataclass(frozen=True)
 class Compiled:
-    """A planar observation model of the main path, by its name in a map's configuration."""
+    """An observation model of the main path, as a map's configuration describes it."""
 
-    name: str
-    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    config: ObservationConfig
+
+    @property
+    def space(self) -> Space:
+        """The plane or space that it looks at."""
+        return SPACES["se2" if len(self.config.mount) == 3 else "se3"]
 
     @property
     def number(self) -> int:
         """The kernel's number of the model."""
-        return MODELS[self.name]
+        return MODELS[self.config.model]
 
     @property
-    def place(self) -> Floats:
-        """The mount as the kernel takes it: (x m, y m, cos, sin)."""
-        x, y, theta = self.mount
-        return np.array([x, y, math.cos(theta), math.sin(theta)])
+    def sensor(self) -> Floats:
+        """The sensor as the kernel takes it."""
+        return sensor_of(self.space, self.config)
+
+    @property
+    def R(self) -> Floats:
+        """Covariance of a reading."""
+        return np.diag(np.square(self.config.sigma))
 
     def predict(self, y: Floats) -> tuple[Floats, Floats]:
         """h(y) and dh/dy."""
-        found = models.predict(self.number, float(y[0]), float(y[1]), self.place)
-        return np.array(found[:2]), np.array(found[2:]).reshape(2, 2)
+        expected, slope = models.reading(self.space.key, self.number, self.sensor, np.array(y))
+        return expected, slope
 
-    def invert(self, z: Floats) -> tuple[Floats, Floats]:
-        """The body-frame point that a reading shows, and its derivative."""
-        found = models.invert(self.number, float(z[0]), float(z[1]), self.place)
-        return np.array(found[:2]), np.array(found[2:]).reshape(2, 2)
+    def shown(self, z: Floats, R: Floats) -> tuple[Floats, Floats]:
+        """The body-frame point that a reading shows, and its covariance."""
+        point, covariance = models.shown(self.space.key, self.number, self.sensor, np.array(z), np.array(R))
+        return point, covariance
 
     def innovation(self, z: Floats, expected: Floats) -> Floats:
         """z - h, a bearing's difference the short way."""
-        return np.array(
-            models.innovation(self.number, float(z[0]), float(z[1]), float(expected[0]), float(expected[1]))
-        )
+        v = z - expected
+        for i, channel in enumerate(self.config.channels):
+            if channel == "bearing":
+                v[i] = math.remainder(v[i], 2.0 * math.pi)
+        return np.asarray(v)
 
 
-@jit("void(float64[::1], float64[:, ::1], int64, float64[::1], float64[:, ::1], boolean, float64[:, ::1], int64)")
+_STATE = "float64[::1], float64[:, ::1], int64, "
+_KEYS = ("UniTuple(int64, 2), ", "UniTuple(int64, 3), ")
+
+
+@jit(*("void(" + key + _STATE + "float64[::1], float64[:, ::1], boolean, float64[:, ::1], int64)" for key in _KEYS))
 def _predict_often(
-    x: Floats, P: Floats, n: int, increment: Floats, noise: Floats, invariant: bool, scratch: Floats, times: int
-) -> None:
+    space: Key, x: Floats, P: Floats, n: int, increment: Floats, noise: Floats, invariant: bool, scratch: Floats,
+    times: int,
+) -> None:  # fmt: skip
+    U, w = scratch[: 2 * len(space) - 3], workspace(space)
     for _ in range(times):
         if not invariant:
-            predict_standard(x, P, n, increment, noise)
-        elif predict_invariant(x, P, n, increment, noise, scratch[0]):
-            add_rank_one(P, n, scratch[0])
+            predict_standard(space, x, P, n, increment, noise, w)
+        elif predict_invariant(space, x, P, n, increment, noise, U, w):
+            add(space, P, n, U)
 
 
 @jit(
-    "int64(float64[::1], float64[:, ::1], int64, int64[::1], int64, float64[::1], float64[:, ::1], float64[:, ::1],"
-    " boolean, float64[:, ::1])"
-)
+    *(
+        "int64(" + key + _STATE + "int64[::1], int64, float64[::1], float64[:, ::1], float64[:, ::1], boolean,"
+        " float64[:, ::1])"
+        for key in _KEYS
+    )
+)  # fmt: skip
 def _update_each(
-    x: Floats, P: Floats, n: int, slots: Ints, model: int, mount: Floats, z: Floats, R: Floats, invariant: bool,
-    scratch: Floats,
+    space: Key, x: Floats, P: Floats, n: int, slots: Ints, model: int, sensor: Floats, z: Floats, R: Floats,
+    invariant: bool, scratch: Floats,
 ) -> int:  # fmt: skip
-    used = 0
+    rot, w, used = 2 * len(space) - 3, workspace(space), 0
+    U, A = scratch[:rot], scratch[rot:]
     for i in range(slots.shape[0]):
         status, _ = _update(
-            x, P, n, slots[i], model, mount, z[i, 0], z[i, 1], R, math.inf, math.inf, invariant, scratch[0], False,
-            scratch[1], scratch[2],
-        )  # fmt: skip
+            space, x, P, n, slots[i], model, sensor, z[i], R, math.inf, math.inf, invariant, U, False, A, w
+        )
         used += status == USED
     return used
 
 
-@jit("boolean(float64[::1], float64[:, ::1], int64, int64, float64[::1], float64[::1], float64[:, ::1], boolean)")
-def _append(x: Floats, P: Floats, n: int, model: int, mount: Floats, z: Floats, R: Floats, invariant: bool) -> bool:
-    return bool(_augment(x, P, n, model, mount, z[0], z[1], R, invariant))
+@jit(
+    *(
+        "boolean(" + key + _STATE + "int64, float64[::1], float64[::1], float64[:, ::1], boolean)" for key in _KEYS
+    )
+)  # fmt: skip
+def _append(
+    space: Key, x: Floats, P: Floats, n: int, model: int, sensor: Floats, z: Floats, R: Floats, invariant: bool
+) -> bool:
+    return bool(_augment(space, x, P, n, model, sensor, z, R, invariant, workspace(space)))
 
 
 class KernelFilter:
@@ -100,10 +130,11 @@ class KernelFilter:
     """
 
     def __init__(self, estimate: Estimate, model: Compiled, *, invariant: bool, landmarks: int) -> None:
-        self._model, self._place, self._invariant = model.number, model.place, invariant
+        self.space = model.space
+        self._model, self._sensor, self._invariant = model.number, model.sensor, invariant
         self.size = int(estimate.x.shape[0])
-        rows = -(-(self.size + 2 * landmarks) // 8) * 8
-        self._x, self._P, self._scratch = np.zeros(rows), np.zeros((rows, rows)), np.zeros((3, rows))
+        rows = -(-(self.size + self.space.dim * landmarks) // 8) * 8
+        self._x, self._P, self._scratch = np.zeros(rows), np.zeros((rows, rows)), np.zeros((self.space.pose, rows))
         self._x[: self.size], self._P[: self.size, : self.size] = estimate.x, estimate.P
 
     @property
@@ -113,31 +144,34 @@ class KernelFilter:
         return Estimate(self._x[:n].copy(), self._P[:n, :n].copy())
 
     @property
-    def heading(self) -> float:
-        """The heading (rad)."""
-        return float(self._x[2])
+    def rotation(self) -> Floats:
+        """The heading (1,) or rotation vector (3,), rad."""
+        return self._x[self.space.dim : self.space.pose].copy()
 
     @property
-    def heading_variance(self) -> float:
-        """P of the heading (rad²)."""
-        return float(self._P[2, 2])
+    def rotation_variance(self) -> Floats:
+        """Its block of P, (1, 1) or (3, 3), rad²."""
+        d, pose = self.space.dim, self.space.pose
+        return self._P[d:pose, d:pose].copy()
 
     def predict(self, increment: Floats, noise: Floats, times: int = 1) -> None:
-        """Move by a body-frame increment (3,), as many times."""
-        _predict_often(self._x, self._P, self.size, increment, noise, self._invariant, self._scratch, times)
+        """Move by a body-frame increment (pose,) with covariance (pose, pose), as many times."""
+        _predict_often(
+            self.space.key, self._x, self._P, self.size, increment, noise, self._invariant, self._scratch, times
+        )
 
     def augment(self, z: Floats, R: Floats) -> int:
-        """Append the landmark that a reading (2,) shows; its slot."""
-        slot = self.size
-        if not _append(self._x, self._P, slot, self._model, self._place, z, R, self._invariant):
+        """Append the landmark that a reading shows; its slot."""
+        slot, state = self.size, (self._x, self._P, self.size)
+        if not _append(self.space.key, *state, self._model, self._sensor, z, R, self._invariant):
             raise ValueError(f"a reading that shows a point was expected, got {z.tolist()}")
-        self.size += 2
+        self.size += self.space.dim
         return slot
 
     def update(self, slots: Ints, z: Floats, R: Floats) -> int:
-        """Readings z (m, 2) of the landmarks at ``slots`` (m,), one after the other; how many were used."""
-        return int(
-            _update_each(
-                self._x, self._P, self.size, slots, self._model, self._place, z, R, self._invariant, self._scratch
-            )
-        )  # fmt: skip
+        """Readings z (m, c) of the landmarks at ``slots`` (m,), one after the other; how many were used."""
+        state = self._x, self._P, self.size
+        used = _update_each(
+            self.space.key, *state, slots, self._model, self._sensor, z, R, self._invariant, self._scratch
+        )
+        return int(used)

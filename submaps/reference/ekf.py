@@ -60,14 +60,13 @@ def augment(retraction: Retraction, estimate: Estimate, z: Floats, R: Floats, mo
     x, P = estimate.x, estimate.P
     space, n = retraction.space, x.shape[0]
     d, k = space.dim, space.pose
-    y, by_reading = model.invert(z)
+    y, noise = model.shown(z, R)
     by_pose, by_point = retraction.shown(x, y)
-    J = by_point @ by_reading
     grown = np.empty((n + d, n + d))
     grown[:n, :n] = P
     grown[n:, :n] = by_pose @ P[:k]
     grown[:n, n:] = grown[n:, :n].T
-    grown[n:, n:] = by_pose @ P[:k, :k] @ by_pose.T + J @ R @ J.T
+    grown[n:, n:] = by_pose @ P[:k, :k] @ by_pose.T + by_point @ noise @ by_point.T
     p, theta, _ = split(space, x)
     return Estimate(np.concatenate([x, p + space.rotation_of(theta) @ y]), grown)
 

@@ -1,7 +1,8 @@
 """Motion models: a control becomes a body-frame increment with its covariance, whatever the pose.
 
 The models are those of the main path, one file each in ``submaps.motion``; their equations stand
-there. The increment (v, w) moves a pose by p + R v, R exp(w) (``retraction.after``).
+there. The increment (v, w) moves a pose by p + R v, R exp(w) (``retraction.after``). In space its rotation is a
+rotation vector, and its error that of ``geometry.space``.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ Floats = NDArray[np.float64]
 def increment(
     config: MotionConfig, control: Sequence[float], dt: float, covariance: Floats | None = None
 ) -> tuple[Floats, Floats]:
-    """Increment (3,) and covariance (3, 3) of one control over ``dt`` (s); its own ``covariance``, if it has one."""
+    """Increment (pose,) and covariance (pose, pose) of one control over ``dt`` (s), which may have its own covariance."""
     reading = np.array(control, dtype=np.float64)[:, np.newaxis]
     batch = Batch(
         t=np.array([dt]), control_step=np.zeros(1, dtype=np.int64), control=reading,

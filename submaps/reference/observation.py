@@ -1,6 +1,6 @@
 """Observation models: what a sensor reads of a point in the body frame, and back.
 
-A model is h(y), dh/dy and the inverse y = g(z) with dg/dz; the pose enters through y = R^T (l - p)
+A model is h(y), dh/dy and the inverse y = g(z) with its covariance; the pose enters through y = R^T (l - p)
 alone, so that a model knows nothing of filters or errors.
 """
 
@@ -22,8 +22,8 @@ class Observation(Protocol):
         """h(y) (m,) and dh/dy (m, d)."""
         ...
 
-    def invert(self, z: Floats) -> tuple[Floats, Floats]:
-        """g(z) (d,) and dg/dz (d, m)."""
+    def shown(self, z: Floats, R: Floats) -> tuple[Floats, Floats]:
+        """g(z) (d,) and its covariance (d, d): G R G^T, G = dg/dz, and the prior of what the reading leaves open."""
         ...
 
     def innovation(self, z: Floats, expected: Floats) -> Floats:
@@ -39,9 +39,9 @@ class Point:
         """y and the identity."""
         return y, np.eye(y.shape[0])
 
-    def invert(self, z: Floats) -> tuple[Floats, Floats]:
-        """z and the identity."""
-        return z, np.eye(z.shape[0])
+    def shown(self, z: Floats, R: Floats) -> tuple[Floats, Floats]:
+        """z and R."""
+        return z, R
 
     def innovation(self, z: Floats, expected: Floats) -> Floats:
         """The difference."""
@@ -59,10 +59,10 @@ class Sighting:
 
 
 def inverted(sighting: Sighting) -> Sighting:
-    """The reading turned into a point, y = g(z) with covariance G R G^T, G = dg/dz.
+    """The reading turned into a point, y = g(z), with its covariance carried over.
 
     The lecture's further trick: the update that follows is that of a Cartesian reading, linear in
     the body frame; what is linearised is linearised at the reading instead of at the estimate.
     """
-    y, G = sighting.model.invert(sighting.z)
-    return replace(sighting, z=y, R=G @ sighting.R @ G.T, model=Point())
+    y, covariance = sighting.model.shown(sighting.z, sighting.R)
+    return replace(sighting, z=y, R=covariance, model=Point())

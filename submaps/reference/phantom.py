@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from submaps.config import ObservationConfig
 from submaps.reference.compiled import Compiled, KernelFilter
 from submaps.reference.ekf import Estimate
 from submaps.reference.moment_filter import augment as augment_by_moments
@@ -28,6 +29,11 @@ from submaps.reference.moment_filter import update as update_by_moments
 from submaps.reference.moments import Rule
 
 Floats = NDArray[np.float64]
+
+
+def range_bearing(sigma: tuple[float, float]) -> Compiled:
+    """The main path's model, the sensor at the body's origin."""
+    return Compiled(ObservationConfig("range_bearing", sigma))
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,7 @@ def heading_gain(first: Reading, range_: float, turn: float) -> Floats:
 
 def measured_gain(first: Reading, range_: float, turn: float, *, invariant: bool) -> Floats:
     """The same as numbers: what the compiled filter turns the vehicle by, per unit of each innovation."""
-    model, P0 = Compiled("range_bearing"), np.diag([0.0, 0.0, first.sigma_heading**2])
+    model, P0 = range_bearing((first.sigma_range, first.sigma_bearing)), np.diag([0.0, 0.0, first.sigma_heading**2])
     made = KernelFilter(Estimate(np.zeros(3), P0), model, invariant=invariant, landmarks=1)
     made.augment(np.array([first.range, first.bearing]), first.R)
     bearing = first.bearing + turn
@@ -110,12 +116,12 @@ class Still:
     def watch(self, scans: int, rng: np.random.Generator, *, invariant: bool) -> tuple[Floats, Floats]:
         """Heading (rad) and its variance after each of so many scans of all landmarks, by the compiled filter."""
         count = self.landmarks.shape[0]
-        kernel = KernelFilter(self._start(), Compiled("range_bearing"), invariant=invariant, landmarks=count)
+        kernel = KernelFilter(self._start(), range_bearing(self.sigma), invariant=invariant, landmarks=count)
         slots = np.array([kernel.augment(z, self.R) for z in self._scan(rng)])
         found = np.empty((scans, 2))
         for k in range(scans):
             kernel.update(slots, self._scan(rng), self.R)
-            found[k] = kernel.heading, kernel.heading_variance
+            found[k] = kernel.rotation[0], kernel.rotation_variance[0, 0]
         return found[:, 0], found[:, 1]
 
     def watch_by_moments(self, scans: int, rng: np.random.Generator, rule: Rule) -> tuple[Floats, Floats]:

@@ -1,28 +1,29 @@
 """Every derivative of a model against central differences, under both errors: one row a model.
 
-A row of ``MOTIONS`` or ``OBSERVATIONS`` is all that a new model needs here.
+A row of ``MOTIONS``, or of ``filters.SENSORS``, is all that a new model needs here.
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from submaps.config import MotionConfig
-from submaps.geometry.space import PLANE, SOLID, Space
+from submaps.config import MotionConfig, ObservationConfig
+from submaps.geometry.space import PLANE, SOLID, SPACES, Space
 from submaps.reference import ekf
 from submaps.reference.compiled import Compiled
 from submaps.reference.ekf import Estimate
 from submaps.reference.flatland import process
 from submaps.reference.moments import SeenRangeBearing, ShownRangeBearing
 from submaps.reference.motion import increment
-from submaps.reference.observation import Observation, Point, Sighting, inverted
+from submaps.reference.observation import Sighting, inverted
 from submaps.reference.retraction import RETRACTIONS, Retraction, after
+from tests.core.filters import SENSORS
 from tests.core.support import jacobian, random_covariance
 
 Floats = NDArray[np.float64]
@@ -39,34 +40,22 @@ class Motion:
     control: tuple[float, ...]
 
 
-@dataclass(frozen=True)
-class Seen:
-    """A row: an observation model, its space, and points in view of it (body frame, m)."""
-
-    name: str
-    model: Observation
-    space: Space
-    points: tuple[tuple[float, ...], ...]
-
-
 MOTIONS = [
     Motion("odometry", MotionConfig("odometry", (0.1, 0.1, 0.1)), (1.0, -0.3, 0.4)),
     Motion("velocity", MotionConfig("velocity", (0.1, 0.1)), (1.3, 0.6)),
     Motion("velocity, straight", MotionConfig("velocity", (0.1, 0.1)), (1.3, 0.0)),
     Motion("bicycle", MotionConfig("bicycle", (0.1, 0.1), wheelbase=1.5), (2.0, 0.3)),
     Motion("ackermann", MotionConfig("ackermann", (0.1, 0.1), wheelbase=2.8, encoder_offset=0.7), (2.0, -0.4)),
+    Motion("odometry3d", MotionConfig("odometry3d", (0.1,) * 6), (1.0, -0.3, 0.2, 0.3, -0.5, 0.2)),
 ]  # fmt: skip
-AROUND = ((10.0, 4.0), (-7.0, 2.0), (3.0, -9.0), (-8.0, -8.0))
-MOUNT = (0.7, -0.3, 0.4)
-OBSERVATIONS = [
-    Seen("point", Point(), PLANE, AROUND),
-    Seen("point in space", Point(), SOLID, ((6.0, 1.0, -2.0), (-4.0, 5.0, 3.0))),
-    Seen("cartesian", Compiled("cartesian", MOUNT), PLANE, AROUND),
-    Seen("range_bearing", Compiled("range_bearing", MOUNT), PLANE, AROUND),
-]  # fmt: skip
+# Points (body frame, m) that the sensors of ``filters.SENSORS`` have in view.
+POINTS = {
+    "se2": ((10.0, 4.0), (-7.0, 2.0), (3.0, -9.0), (-8.0, -8.0)),
+    "se3": ((10.0, 4.0, 1.0), (7.0, -2.0, 3.0), (23.0, 9.0, -6.0)),
+}
 
 motions = pytest.mark.parametrize("row", MOTIONS, ids=lambda row: row.name)
-observations = pytest.mark.parametrize("row", OBSERVATIONS, ids=lambda row: row.name)
+sensors = pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
 errors = pytest.mark.parametrize("error", RETRACTIONS)
 
 
@@ -89,19 +78,20 @@ def assert_close(found: Floats, expected: Floats) -> None:
 @motions
 def test_motion(row: Motion, error: str) -> None:
     """F, and G A Q A^T G^T for control noise Q along each pair of channels (A = d increment / d control)."""
-    retraction, x = retraction_of(error, PLANE), state(PLANE, 3, 1)
+    space = SPACES[row.config.space]
+    retraction, x = retraction_of(error, space), state(space, 3, 1)
     n, channels = x.shape[0], len(row.control)
-    moved = after(PLANE, x, increment(row.config, row.control, DT)[0])
+    moved = after(space, x, increment(row.config, row.control, DT)[0])
 
     def end(both: Floats) -> Floats:
         true = retraction.plus(x, both[:n])
         done, _ = increment(row.config, (row.control + both[n:]).tolist(), DT)
-        return retraction.minus(after(PLANE, true, done), moved)
+        return retraction.minus(after(space, true, done), moved)
 
     J = jacobian(end, np.zeros(n + channels))
     F, G = retraction.moved(x, moved)
     whole = np.eye(n)
-    whole[:3, :3] = F
+    whole[: space.pose, : space.pose] = F
     assert_close(whole, J[:, :n])
     for i, j in itertools.combinations_with_replacement(range(channels), 2):
         Q = np.zeros((channels, channels))
@@ -114,61 +104,84 @@ def test_motion(row: Motion, error: str) -> None:
 
 
 @errors
-@observations
-def test_observation(row: Seen, error: str) -> None:
+@sensors
+def test_observation(sensor: ObservationConfig, error: str) -> None:
     """H = dh/dy [dy/dpose, ..., dy/dl, ...]."""
-    space, retraction = row.space, retraction_of(error, row.space)
-    for k, y in enumerate(row.points):
+    model = Compiled(sensor)
+    space, retraction = model.space, retraction_of(error, model.space)
+    for k, y in enumerate(POINTS[space.name]):
         x = state(space, 3, 2 + k)
         slot = space.pose + space.dim
         x[slot : slot + space.dim] = space.transform(space.as_pose(x), np.array(y))
-        z = row.model.predict(np.array(y))[0]
+        z = model.predict(np.array(y))[0]
 
         def reading(xi: Floats, x: Floats = x, z: Floats = z, slot: int = slot) -> Floats:
             moved = retraction.plus(x, xi)
             point = space.transform(space.inverse(space.as_pose(moved)), moved[slot : slot + space.dim])
-            return row.model.innovation(row.model.predict(point)[0], z)
+            return model.innovation(model.predict(point)[0], z)
 
-        v, H, _ = ekf.linearised(retraction, x, [Sighting(slot, z, np.eye(z.shape[0]), row.model)])
+        v, H, _ = ekf.linearised(retraction, x, [Sighting(slot, z, model.R, model)])
         assert np.abs(v).max() < 1e-9 * np.abs(z).max()
         assert_close(H, jacobian(reading, np.zeros(x.shape[0]), 1e-3))
 
 
+def shown(sensor: ObservationConfig, z: Floats) -> Floats:
+    """The body-frame point of a reading, and, where it leaves the depth open, of a depth as its last number."""
+    if sensor.depth is not None:
+        sensor = replace(sensor, depth=replace(sensor.depth, mean=float(z[-1])))
+    model = Compiled(sensor)
+    return model.shown(z[: len(sensor.channels)], model.R)[0]
+
+
+def causes(sensor: ObservationConfig, z: Floats, R: Floats) -> tuple[Floats, Floats]:
+    """What a new landmark follows from, and its covariance: the reading, and a depth from its prior."""
+    if sensor.depth is None:
+        return z, R
+    m = z.shape[0]
+    whole = np.zeros((m + 1, m + 1))
+    whole[:m, :m], whole[m, m] = R, sensor.depth.sigma**2
+    return np.append(z, sensor.depth.mean), whole
+
+
 @errors
-@observations
-def test_new_landmark(row: Seen, error: str) -> None:
-    """The rows that a new landmark's error takes from the state's and from the reading's."""
-    space, retraction = row.space, retraction_of(error, row.space)
-    for k, y in enumerate(row.points):
+@sensors
+def test_new_landmark(sensor: ObservationConfig, error: str) -> None:
+    """The rows that a new landmark's error takes from the state's, from the reading's and from a prior's."""
+    model = Compiled(sensor)
+    space, retraction = model.space, retraction_of(error, model.space)
+    for k, y in enumerate(POINTS[space.name]):
         rng = np.random.default_rng(k)
         x = state(space, 2, 12 + k)
-        n, z = x.shape[0], row.model.predict(np.array(y))[0]
-        m = z.shape[0]
-        P, R = random_covariance(rng, n, 0.1), random_covariance(rng, m, 0.1)
-        grown = ekf.augment(retraction, Estimate(x, P), z, R, row.model)
-        assert np.allclose(grown.x[n:], space.transform(space.as_pose(x), np.array(y)), rtol=1e-9)
+        n, z = x.shape[0], model.predict(np.array(y))[0]
+        P, R = random_covariance(rng, n, 0.1), random_covariance(rng, z.shape[0], 0.1)
+        grown = ekf.augment(retraction, Estimate(x, P), z, R, model)
+        at, spread = causes(sensor, z, R)
+        if sensor.depth is None:
+            assert np.allclose(grown.x[n:], space.transform(space.as_pose(x), np.array(y)), rtol=1e-9)
 
-        def shown(both: Floats, x: Floats = x, z: Floats = z, after: Floats = grown.x) -> Floats:
+        def new(both: Floats, x: Floats = x, at: Floats = at, after: Floats = grown.x) -> Floats:
             true = retraction.plus(x, both[: len(x)])
-            point = space.transform(space.as_pose(true), row.model.invert(z + both[len(x) :])[0])
+            point = space.transform(space.as_pose(true), shown(sensor, at + both[len(x) :]))
             return retraction.minus(np.concatenate([true, point]), after)[len(x) :]
 
-        J = jacobian(shown, np.zeros(n + m), 1e-3)
+        J = jacobian(new, np.zeros(n + len(at)), 1e-3)
         assert_close(grown.P[n:, :n], J[:, :n] @ P)
-        assert_close(grown.P[n:, n:], J[:, :n] @ P @ J[:, :n].T + J[:, n:] @ R @ J[:, n:].T)
+        assert_close(grown.P[n:, n:], J[:, :n] @ P @ J[:, :n].T + J[:, n:] @ spread @ J[:, n:].T)
 
 
-@observations
-def test_a_reading_turned_into_a_point(row: Seen) -> None:
-    """R carried over by dg/dz, the inverse of dh/dy."""
-    for y in row.points:
-        z, by_y = row.model.predict(np.array(y))
+@sensors
+def test_a_reading_turned_into_a_point(sensor: ObservationConfig) -> None:
+    """R, and the prior where there is one, carried over by dg/dz."""
+    model = Compiled(sensor)
+    for y in POINTS[model.space.name]:
+        z = model.predict(np.array(y))[0]
         R = random_covariance(np.random.default_rng(3), z.shape[0], 0.1)
-        found = inverted(Sighting(0, z, R, row.model))
-        J = jacobian(lambda v: row.model.invert(v)[0], z, 1e-3)
-        assert np.allclose(found.z, y, rtol=1e-9)
-        assert_close(found.R, J @ R @ J.T)
-        assert_close(J @ by_y, np.eye(row.space.dim))
+        found = inverted(Sighting(0, z, R, model))
+        at, spread = causes(sensor, z, R)
+        J = jacobian(lambda v: shown(sensor, v), at, 1e-3)
+        assert_close(found.R, J @ spread @ J.T)
+        if sensor.depth is None:
+            assert np.allclose(found.z, y, rtol=1e-9)
 
 
 @errors

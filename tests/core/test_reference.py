@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from submaps.config import MotionConfig
+from submaps.config import MotionConfig, ObservationConfig
 from submaps.geometry.space import PLANE, SOLID, Space
 from submaps.reference import ekf, moment_filter
 from submaps.reference.compiled import Compiled, KernelFilter
@@ -21,13 +21,15 @@ from submaps.reference.motion import increment
 from submaps.reference.observation import Point, Sighting, inverted
 from submaps.reference.retraction import RETRACTIONS, Retraction, Standard, after
 from submaps.reference.space import LINE, Geometry
+from tests.core.filters import SENSORS
 from tests.core.support import random_covariance
+from tests.core.test_jacobians import POINTS
 
 Floats = NDArray[np.float64]
 errors = pytest.mark.parametrize("error", RETRACTIONS)
-models = pytest.mark.parametrize("name", ["cartesian", "range_bearing"])
+sensors = pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
 spaces = pytest.mark.parametrize("space", [PLANE, SOLID], ids=lambda space: space.name)
-MOUNT = (0.7, -0.3, 0.4)
+RANGE_BEARING = Compiled(ObservationConfig("range_bearing", (0.1, 0.02)))
 
 
 def retraction_of(error: str, space: Geometry = PLANE) -> Retraction:
@@ -59,37 +61,42 @@ def sightings(space: Space, estimate: Estimate, count: int, seed: int) -> list[S
 
 
 def assert_equal(found: Estimate, expected: Estimate, tolerance: float = 1e-10) -> None:
-    difference = found.x - expected.x
+    """Equal to so many standard deviations."""
+    difference, sigma = found.x - expected.x, np.sqrt(np.diag(expected.P))
     difference[2] = math.remainder(difference[2], 2.0 * math.pi)
-    assert np.abs(difference).max() < tolerance
-    scale = np.sqrt(np.outer(np.diag(expected.P), np.diag(expected.P)))
-    assert np.max(np.abs(found.P - expected.P) / scale) < tolerance
+    assert np.abs(difference / sigma).max() < tolerance
+    assert np.max(np.abs(found.P - expected.P) / np.outer(sigma, sigma)) < tolerance
 
 
 @errors
-@models
+@sensors
 @pytest.mark.parametrize("seed", range(3))
-def test_the_compiled_kernel_is_the_reference(error: str, name: str, seed: int) -> None:
+def test_the_compiled_kernel_is_the_reference(error: str, sensor: ObservationConfig, seed: int) -> None:
     """From a random state with an initial uncertainty: move, see what is known, see what is new, again."""
-    rng, retraction, model = np.random.default_rng(seed), retraction_of(error), Compiled(name, MOUNT)
-    estimate = generic(PLANE, 3, 40 + seed)
+    model, rng = Compiled(sensor), np.random.default_rng(seed)
+    space, retraction = model.space, retraction_of(error, model.space)
+    known = POINTS[space.name]
+    estimate = generic(space, 0, 40 + seed)
+    estimate = Estimate(estimate.x, random_covariance(rng, space.pose, 0.02))
     kernel = KernelFilter(estimate, model, invariant=error == "invariant", landmarks=8)
-    R = random_covariance(rng, 2, 0.1)
-    for _ in range(5):
-        step, noise = rng.normal(size=3) * 0.4, random_covariance(rng, 3, 0.05)
-        estimate = ekf.predict(retraction, estimate, step, noise)
-        kernel.predict(step, noise)
-        assert_equal(kernel.estimate, estimate)
-        for slot in rng.permutation(np.arange(3, estimate.x.shape[0], 2))[:3]:
-            y = PLANE.transform(PLANE.inverse(PLANE.as_pose(estimate.x)), estimate.x[slot : slot + 2])
-            z = model.predict(y)[0] + 0.1 * rng.normal(size=2)
-            estimate = ekf.update(retraction, estimate, [Sighting(int(slot), z, R, model)])
-            assert kernel.update(np.array([slot]), z[np.newaxis], R) == 1
-            assert_equal(kernel.estimate, estimate)
-        z = model.predict(rng.normal(size=2) * 5.0)[0]
-        assert kernel.augment(z, R) == estimate.x.shape[0]
-        estimate = ekf.augment(retraction, estimate, z, R, model)
-        assert_equal(kernel.estimate, estimate)
+    for k in range(4):
+        if k:
+            step, noise = rng.normal(size=space.pose) * 0.1, random_covariance(rng, space.pose, 0.01)
+            estimate = ekf.predict(retraction, estimate, step, noise)
+            kernel.predict(step, noise)
+            assert_equal(kernel.estimate, estimate, 1e-8)
+        for slot in range(space.pose, estimate.x.shape[0], space.dim):
+            point = estimate.x[slot : slot + space.dim]
+            y = space.transform(space.inverse(space.as_pose(estimate.x)), point)
+            z = model.predict(y)[0] + rng.normal(size=len(sensor.channels)) * sensor.sigma
+            if np.isfinite(z).all():
+                estimate = ekf.update(retraction, estimate, [Sighting(slot, z, model.R, model)])
+                assert kernel.update(np.array([slot]), z[np.newaxis], model.R) == 1
+                assert_equal(kernel.estimate, estimate, 1e-8)
+        z = model.predict(np.array(known[k % len(known)]))[0]
+        assert kernel.augment(z, model.R) == estimate.x.shape[0]
+        estimate = ekf.augment(retraction, estimate, z, model.R, model)
+        assert_equal(kernel.estimate, estimate, 1e-8)
 
 
 @errors
@@ -196,7 +203,7 @@ def test_the_prediction_is_that_of_the_lecture() -> None:
 @errors
 def test_an_inverted_reading_updates_as_the_reading_does(error: str) -> None:
     """To first order: the closer the reading is to what was expected, the less it matters where one linearises."""
-    retraction, estimate, model = retraction_of(error), generic(PLANE, 2, 10), Compiled("range_bearing")
+    retraction, estimate, model = retraction_of(error), generic(PLANE, 2, 10), RANGE_BEARING
     y = PLANE.transform(PLANE.inverse(PLANE.as_pose(estimate.x)), estimate.x[3:5])
     apart = []
     for size in (1e-2, 1e-3):
@@ -269,7 +276,7 @@ def moment_run(rule: Rule) -> Estimate:
 
 
 def test_a_moment_filter_with_linear_moments_is_the_ekf() -> None:
-    rng, R, model = np.random.default_rng(12), np.diag([0.01, 4e-4]), Compiled("range_bearing")
+    rng, R, model = np.random.default_rng(12), np.diag([0.01, 4e-4]), RANGE_BEARING
     expected = Estimate(np.array([1.0, 2.0, 0.3]), random_covariance(rng, 3, 0.1))
     z = np.array([5.0, 0.9])
     expected = ekf.augment(Standard(), expected, z, R, model)
