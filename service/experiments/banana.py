@@ -181,7 +181,7 @@ def run(runs: Runs) -> Outcome:
 
 
 def _row(degrees: float, c: Cloud) -> tuple[float, ...]:
-    sampled = float(np.corrcoef(c.points.T)[0, 1])
+    sampled = float(np.asarray(np.corrcoef(c.points.T))[0, 1])
     return degrees, *c.inside, c.waste, c.correlation, sampled, c.information, _as_correlation(c.information)
 
 

@@ -95,21 +95,36 @@ class Flatland:
         return batch, poses
 
 
-def field(rng: np.random.Generator, laps: float = 2.0, radius: float = 25.0, landmarks: int = 60) -> Flatland:
-    """Laps of a bicycle round a field of scattered landmarks: speed 2 m/s, wheelbase 1.5 m, dt 0.2 s.
+@dataclass(frozen=True)
+class Field:
+    """Laps of a bicycle round a circle of ``radius`` (m), ``landmarks`` scattered within ``aside`` (m) of it.
 
-    Landmarks lie within 8 m of the circle and are seen within 10 m at every second step; sigma 0.2 m/s
-    and 1.5 degrees of the control, 0.15 m and 1.5 degrees of a reading.
+    Speed 2 m/s, wheelbase 1.5 m, dt 0.2 s; landmarks are seen within ``reach`` (m) at every second step.
     """
-    speed, wheelbase, dt = 2.0, 1.5, 0.2
-    steps = round(laps * 2.0 * math.pi * radius / (speed * dt))
-    steer = math.asin(wheelbase / radius)
-    angle = 2.0 * math.pi * (np.arange(landmarks) + rng.uniform(-0.4, 0.4, landmarks)) / landmarks
-    distance = radius + rng.uniform(-8.0, 8.0, landmarks)
-    # The front wheel starts at the origin and rolls along heading + steer.
-    centre = radius * np.array([-math.sin(steer), math.cos(steer)])
-    points = centre + distance[:, np.newaxis] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    sigma = math.radians(1.5)
-    return Flatland(
-        points, np.tile([speed, steer], (steps, 1)), wheelbase, dt, 10.0, 2, (0.2, sigma), (0.15, sigma)
-    )  # fmt: skip
+
+    laps: float
+    radius: float
+    landmarks: int
+    aside: float
+    reach: float
+    control_sigma: tuple[float, float]
+    reading_sigma: tuple[float, float]
+
+    def planted(self, rng: np.random.Generator) -> Flatland:
+        """One such field, its landmarks drawn anew."""
+        speed, wheelbase, dt = 2.0, 1.5, 0.2
+        steps = round(self.laps * 2.0 * math.pi * self.radius / (speed * dt))
+        steer = math.asin(wheelbase / self.radius)
+        count = self.landmarks
+        angle = 2.0 * math.pi * (np.arange(count) + rng.uniform(-0.4, 0.4, count)) / count
+        distance = self.radius + rng.uniform(-self.aside, self.aside, count)
+        # The front wheel starts at the origin and rolls along heading + steer.
+        centre = self.radius * np.array([-math.sin(steer), math.cos(steer)])
+        points = centre + distance[:, np.newaxis] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        controls = np.tile([speed, steer], (steps, 1))
+        return Flatland(points, controls, wheelbase, dt, self.reach, 2, self.control_sigma, self.reading_sigma)
+
+
+# Two laps among many landmarks; and one and a half among few, so that the loop closes late and hard.
+NEAR = Field(2.0, 30.0, 60, 8.0, 10.0, (0.2, math.radians(2.0)), (0.2, math.radians(2.0)))
+FAR = Field(1.5, 40.0, 50, 6.0, 8.0, (0.2, math.radians(1.5)), (0.2, math.radians(2.0)))

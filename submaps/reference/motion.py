@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 def increment(
     config: MotionConfig, control: Sequence[float], dt: float, covariance: Floats | None = None
 ) -> tuple[Floats, Floats]:
-    """Increment (pose,) and covariance (pose, pose) of one control over ``dt`` (s), which may have its own covariance."""
+    """Increment (pose,) and covariance (pose, pose) of one control over ``dt`` (s), with its own covariance or not."""
     reading = np.array(control, dtype=np.float64)[:, np.newaxis]
     batch = Batch(
         t=np.array([dt]), control_step=np.zeros(1, dtype=np.int64), control=reading,
