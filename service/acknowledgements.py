@@ -9,6 +9,7 @@ import orjson
 
 from service.store.base import BatchEvent, Derived
 from service.store.encoding import encode_track
+from service.wire.poses import pose_answer
 from submaps.measurements import Batch, Rejection, Report, as_encounter
 
 
@@ -31,7 +32,6 @@ def as_duplicate(acknowledgement: bytes) -> bytes:
 
 
 def _acknowledgement(sequence: int, batch: Batch, report: Report, version: int) -> bytes:
-    x, y, theta = report.pose
     return orjson.dumps({
         "sequence": sequence,
         "steps": batch.steps,
@@ -41,9 +41,7 @@ def _acknowledgement(sequence: int, batch: Batch, report: Report, version: int) 
         "submap": report.submap,
         "map_version": version,
         "duplicate": False,
-        "pose": {
-            "frame": f"submap/{report.submap}", "t": report.t, "x": x, "y": y, "theta": theta,
-        },
+        "pose": {"frame": f"submap/{report.submap}", "t": report.t, **pose_answer(report.pose)},
     })  # fmt: skip
 
 

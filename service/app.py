@@ -20,14 +20,15 @@ from service.engine import Engine
 from service.metrics import Requests
 from service.settings import Settings
 from service.store.sqlite import SqliteJournal
+from service.wire.columns import ROWS
 from service.wire.maps import MapRequest
-from service.wire.measurements import CartesianRows, Columns, RangeBearingRows
+from service.wire.measurements import Columns
 from service.wire.operations import ProblemAnswer, SolveRequest
-from service.wire.robots import RobotRequest
+from service.wire.robots import RobotRequest, SpatialRobotRequest
 
 # Read and written by the routes themselves, so FastAPI does not know them.
 _DOCUMENTED: Iterable[type[BaseModel]] = (
-    MapRequest, RobotRequest, CartesianRows, RangeBearingRows, Columns, SolveRequest, ProblemAnswer,
+    MapRequest, RobotRequest, SpatialRobotRequest, *ROWS.values(), Columns, SolveRequest, ProblemAnswer,
 )  # fmt: skip
 
 log = logging.getLogger(__name__)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import asdict
 from types import TracebackType
 from typing import Any
 from urllib.parse import quote
@@ -11,7 +12,7 @@ import httpx
 import numpy as np
 import orjson
 
-from submaps.config import MapConfig
+from submaps.config import MapConfig, MotionConfig, ObservationConfig
 from submaps.measurements import Batch, as_encounter
 
 COLUMNS = "application/vnd.submaps.columns+json"
@@ -116,13 +117,11 @@ def path_of(map_: str, robot: str | None = None) -> str:
 
 def settings(config: MapConfig) -> dict[str, Any]:
     """The settings of a map as a body says them."""
-    motion, seen = config.motion, config.observation
-    vehicle: dict[str, Any] = {} if motion.wheelbase is None else {"wheelbase": motion.wheelbase}
-    if motion.encoder_offset:
-        vehicle["encoder_offset"] = motion.encoder_offset
+    space = {} if config.space == "se2" else {"space": config.space}
     return {
-        "motion": {"model": motion.model, "sigma": motion.sigma, "noise": motion.noise, **vehicle},
-        "observation": {"model": seen.model, "sigma": seen.sigma, "mount": seen.mount},
+        **space,
+        "motion": _motion(config.motion),
+        "observation": _observation(config.observation),
         "filter": config.filter,
         "association": {"method": "known", "gate": config.gate},
         "submap": {
@@ -132,6 +131,24 @@ def settings(config: MapConfig) -> dict[str, Any]:
             "min_observed_steps": config.min_observed_steps,
         },
     }
+
+
+def _motion(motion: MotionConfig) -> dict[str, Any]:
+    if motion.model == "none":
+        return {"model": "none"}
+    vehicle: dict[str, Any] = {} if motion.wheelbase is None else {"wheelbase": motion.wheelbase}
+    if motion.encoder_offset:
+        vehicle["encoder_offset"] = motion.encoder_offset
+    return {"model": motion.model, "sigma": motion.sigma, "noise": motion.noise, **vehicle}
+
+
+def _observation(seen: ObservationConfig) -> dict[str, Any]:
+    body: dict[str, Any] = {"model": seen.model, "sigma": seen.sigma, "mount": seen.mount}
+    if seen.camera is not None:
+        body["camera"] = {name: value for name, value in asdict(seen.camera).items() if name != "baseline" or value}
+    if seen.depth is not None:
+        body["depth"] = asdict(seen.depth)
+    return body
 
 
 def columns(sequence: int, batch: Batch) -> dict[str, Any]:

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from service.client import Client, path_of
 from service.datasets import Truth
 from service.exporters.atlas import read_tracks
+from service.wire.poses import point_of, pose_of
 from submaps.alignment import Alignment
 from submaps.evaluation import (
+    NothingInCommon,
     PointError,
     Statistics,
     Unit,
@@ -20,7 +22,7 @@ from submaps.evaluation import (
     pose_nees,
     relative_error,
 )
-from submaps.trajectory import Trajectory
+from submaps.trajectory import Trajectory, composed
 
 Floats = NDArray[np.float64]
 
@@ -72,9 +74,13 @@ def map_error(client: Client, map_: str, truth: Truth, delta: float = 1.0, unit:
 def landmark_error(client: Client, map_: str, truth: Truth) -> PointError:
     """Compare the landmarks in ``map`` with the truth."""
     found = [one for one in client.landmarks(map_) if one["id"] in truth.landmarks]
-    points = np.array([[one["x"], one["y"]] for one in found]).reshape(-1, 2)
-    covariances = np.array([one["covariance"] for one in found]).reshape(-1, 2, 2)
-    return point_error(points, covariances, np.array([truth.landmarks[one["id"]] for one in found]).reshape(-1, 2))
+    true = [truth.landmarks[one["id"]] for one in found]
+    dim = len(next(iter(truth.landmarks.values()), (0.0, 0.0)))
+    points = [point_of(one) for one in found]
+    if any(len(point) != dim for point in points):
+        raise NothingInCommon(f"the truth is of points of {dim} coordinates, the map of others")
+    covariances = np.array([one["covariance"] for one in found]).reshape(-1, dim, dim)
+    return point_error(np.array(points).reshape(-1, dim), covariances, np.array(true).reshape(-1, dim))
 
 
 def _known(truth: Truth, robot: str, estimate: Trajectory) -> tuple[Trajectory, Trajectory] | None:
@@ -86,11 +92,12 @@ def _known(truth: Truth, robot: str, estimate: Trajectory) -> tuple[Trajectory, 
 
 
 def _robot_error(estimate: Trajectory, truth: Trajectory, common: Alignment, delta: float, unit: Unit) -> RobotError:
-    moved = np.column_stack([common.apply(estimate.poses[:, :2]), estimate.poses[:, 2] + common.theta])
+    turned = composed(common.angles[np.newaxis], estimate.angles)
+    moved = Trajectory(estimate.t, np.hstack([common.apply(estimate.positions), turned]))
     relative, turn = relative_error(estimate, truth, delta, unit)
     return RobotError(
         absolute_error(estimate, truth),
-        absolute_error(Trajectory(estimate.t, moved), truth, aligned=False),
+        absolute_error(moved, truth, aligned=False),
         relative,
         turn,
     )
@@ -102,11 +109,10 @@ def _last_poses(
     poses, covariances, true = [], [], []
     for robot in robots:
         answer = client.request("GET", f"{path_of(map_, robot)}/pose?frame=map")
-        pose = np.array([[answer["x"], answer["y"], answer["theta"]]])
         if robot in truth.trajectories:
             there, known = truth.trajectories[robot].at(np.array([answer["t"]]), LONGEST_GAP)
             if known[0]:
-                poses.append(pose[0])
+                poses.append(pose_of(answer))
                 covariances.append(answer["covariance"])
                 true.append(there.poses[0])
     if not poses:

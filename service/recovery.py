@@ -12,7 +12,7 @@ from service.store.base import BatchEvent, Journal, MapRecord, RobotEvent
 from service.store.encoding import decode_batch
 from service.wire.base import parse
 from service.wire.maps import CONFIG
-from service.wire.robots import ROBOT
+from service.wire.robots import ROBOTS
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ def replay(journal: Journal, record: MapRecord) -> Hosted:
                 if not kept:
                     journal.derive([derived])
             elif isinstance(event, RobotEvent):
-                own = parse(ROBOT, event.data).to_core()
+                own = parse(ROBOTS[core.space], event.data).to_core()
                 apply_robot(hosted, event, own)
                 hosted.own[event.robot] = own
             else:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from service.client import Client, path_of
 from service.datasets import Dataset
+from service.wire.poses import point_of
 from submaps.alignment import Alignment, align
 from submaps.batch import optimum
 from submaps.fleet_batch import fleet_optimum
@@ -92,12 +93,17 @@ def _read_back(
         submaps=counts["submaps"],
         ingest_seconds=ingest,
         solve_seconds=solve,
-        points={one["id"]: np.array([one["x"], one["y"]]) for one in client.landmarks(map_)},
+        points={one["id"]: np.array(point_of(one)) for one in client.landmarks(map_)},
         robots={
             name: Part(batch.steps, batch.observations, dict(rejected[name]), connected[name])
             for name, batch in run.robots.items()
         },
     )
+
+
+def has_batch(run: Dataset) -> bool:
+    """Whether the batch optimum knows the run's models: those of the plane that show a point whole."""
+    return run.observation.model in ("cartesian", "range_bearing")
 
 
 def batch_points(run: Dataset, progress: Progress) -> Points:
@@ -115,9 +121,9 @@ def batch_points(run: Dataset, progress: Progress) -> Points:
 
 
 def compare(points: Points, best: Points) -> Alignment | None:
-    """The landmarks that both have, laid over one another; ``None`` below two."""
+    """The landmarks that both have, laid over one another; ``None`` where they are too few for that."""
     common = [name for name in best if name in points]
-    if len(common) < 2:
+    if not common or len(common) < len(best[common[0]]):
         return None
     return align(*(np.array([of[name] for name in common]) for of in (points, best)))
 

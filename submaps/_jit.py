@@ -60,16 +60,16 @@ def _cache_dir() -> Iterator[None]:
         numba.config.CACHE_DIR = before
 
 
-def jit(*signatures: str, unlocked: bool = False) -> Callable[[F], F]:
+def jit(*signatures: str, unlocked: bool = False, inline: bool = False) -> Callable[[F], F]:
     """Compile a function without ``fastmath``; an ``unlocked`` one runs without the interpreter lock.
 
     Only what takes long is: a short function that gives the lock away may wait milliseconds to have
-    it back. With a signature it is compiled (or read from the cache) at import, so that no request
-    ever waits for a compiler.
+    it back. An ``inline`` one becomes part of what calls it: arrays are dear to pass. With a signature it is
+    compiled (or read from the cache) at import, so that no request ever waits for a compiler.
     """
 
     def decorate(function: F) -> F:
-        options = {"nogil": unlocked, "cache": CACHE_DIR is not None, "error_model": "numpy"}
+        options = {"nogil": unlocked, "cache": CACHE_DIR is not None, "error_model": "numpy", "forceinline": inline}
         with _cache_dir():
             return numba.njit(list(signatures) or None, **options)(function)  # type: ignore[no-any-return]
 

@@ -1,4 +1,4 @@
-"""How far an estimate lies from the truth: trajectories and landmarks, in the plane.
+"""How far an estimate lies from the truth: trajectories and landmarks, in the plane and in space.
 
 Absolute and relative error of a trajectory as in Sturm et al., "A benchmark for the evaluation of
 RGB-D SLAM systems", IROS 2012, with the association, the pairs and the statistics of the tool evo.
@@ -11,14 +11,17 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from submaps.alignment import Alignment, align
+from submaps.geometry.space import Space
 from submaps.residuals import rotated
-from submaps.trajectory import Trajectory, wrapped
+from submaps.trajectory import Trajectory, composed, turned
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Unit = Literal["frames", "meters"]
+_NUMBERS = {2: "two", 3: "three"}
 
 
 class NothingInCommon(ValueError):
@@ -62,10 +65,10 @@ def associate(estimate: Trajectory, truth: Trajectory, most: float) -> tuple[Tra
 
 def absolute_error(estimate: Trajectory, truth: Trajectory, *, aligned: bool = True) -> Statistics:
     """Distances (m) of poses that belong together, after the rigid motion that makes them least, if asked for."""
-    points = estimate.poses[:, :2]
+    points = estimate.positions
     if aligned:
-        points = align(points, truth.poses[:, :2]).apply(points)
-    return Statistics.of(np.hypot(*(points - truth.poses[:, :2]).T))
+        points = align(points, truth.positions).apply(points)
+    return Statistics.of(_lengths(points - truth.positions))
 
 
 def relative_error(
@@ -76,12 +79,12 @@ def relative_error(
     Pairs follow one another, ``delta`` poses apart, or the first pose at which the estimate has gone
     ``delta`` metres. Raises ``NothingInCommon`` where no pair is that far apart.
     """
-    ends = _frames(len(estimate), delta) if unit == "frames" else _metres(estimate.poses[:, :2], delta)
+    ends = _frames(len(estimate), delta) if unit == "frames" else _metres(estimate.positions, delta)
     if len(ends) < 2:
         raise NothingInCommon(f"no two poses lie {delta:g} {unit} apart")
-    own, true = _motions(estimate.poses, ends), _motions(truth.poses, ends)
-    turn = wrapped(own[:, 2] - true[:, 2])
-    return Statistics.of(np.hypot(*(own - true)[:, :2].T)), Statistics.of(np.abs(turn))
+    way, turn = _motions(estimate, ends)
+    true_way, true_turn = _motions(truth, ends)
+    return Statistics.of(_lengths(way - true_way)), Statistics.of(_lengths(turned(true_turn, turn)))
 
 
 def _frames(poses: int, delta: float) -> Ints:
@@ -90,7 +93,7 @@ def _frames(poses: int, delta: float) -> Ints:
 
 def _metres(points: Floats, delta: float) -> Ints:
     ends, way = [0], 0.0
-    for i, length in enumerate(np.hypot(*np.diff(points, axis=0).T).tolist(), start=1):
+    for i, length in enumerate(_lengths(np.diff(points, axis=0)).tolist(), start=1):
         way += length
         if way >= delta:
             ends.append(i)
@@ -98,19 +101,32 @@ def _metres(points: Floats, delta: float) -> Ints:
     return np.array(ends)
 
 
-def _motions(poses: Floats, ends: Ints) -> Floats:
-    """From each end to the next, in the frame of the first of the two."""
-    before, after = poses[ends[:-1]], poses[ends[1:]]
-    return np.column_stack([rotated(-before[:, 2], after[:, :2] - before[:, :2]), after[:, 2] - before[:, 2]])
+def _motions(track: Trajectory, ends: Ints) -> tuple[Floats, Floats]:
+    """From each end to the next, in the frame of the first of the two: the way (m) and the turn (rad)."""
+    before, after = track.take(ends[:-1]), track.take(ends[1:])
+    way = _rotated(track.space, -before.angles, after.positions - before.positions)
+    return way, turned(before.angles, after.angles)
+
+
+def _rotated(space: Space, angles: Floats, points: Floats) -> Floats:
+    """Points (n, dim) turned by one rotation each, (n, 1) or (n, 3) rad."""
+    if space.dim == 2:
+        return rotated(angles[:, 0], points)
+    return np.asarray(Rotation.from_rotvec(angles).apply(points))
+
+
+def _lengths(vectors: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 @dataclass(frozen=True)
 class PointError:
     """Distances (m) of points from the truth after a rigid motion, and their NEES per degree of freedom.
 
-    NEES is Σ eᵀP⁻¹e with the (2, 2) covariance of each point. The motion takes 3 of the 2n degrees of
-    freedom, so the sum is divided by 2n - 3. It also takes away what is uncertain of the frame as a
-    whole, which is part of each P: above 1 the covariances are too small, below 1 says little.
+    NEES is Σ eᵀP⁻¹e with the (d, d) covariance of each point. The motion takes 3 of the 2n degrees of
+    freedom, in space 6 of 3n, so the sum is divided by what is left. It also takes away what is
+    uncertain of the frame as a whole, which is part of each P: above 1 the covariances are too small,
+    below 1 says little.
     """
 
     statistics: Statistics
@@ -119,22 +135,28 @@ class PointError:
 
 
 def point_error(points: Floats, covariances: Floats, truth: Floats) -> PointError:
-    """Errors of points (n, 2) with covariances (n, 2, 2) m²; raises ``NothingInCommon`` below two points."""
-    if len(points) < 2:
-        raise NothingInCommon(f"{len(points)} landmark(s) of the truth are in the map, expected two or more")
+    """Errors of points (n, d) with covariances (n, d, d) m²; raises ``NothingInCommon`` below d points."""
+    count, dim = points.shape
+    if count < dim:
+        raise NothingInCommon(f"{count} landmark(s) of the truth are in the map, expected {_NUMBERS[dim]} or more")
     motion = align(points, truth)
     error = motion.apply(points) - truth
-    freedom = 2 * len(points) - 3
-    squares = _squares(rotated(-motion.theta, error), covariances)
-    return PointError(Statistics.of(np.hypot(*error.T)), float(squares.sum()) / freedom, motion)
+    squares = _squares(error @ motion.space.rotation(motion.pose), covariances)
+    freedom = dim * count - motion.space.pose
+    return PointError(Statistics.of(_lengths(error)), float(squares.sum()) / freedom, motion)
 
 
 def pose_nees(poses: Floats, covariances: Floats, truth: Floats, motion: Alignment) -> float:
-    """NEES per degree of freedom of poses (n, 3) with covariances (n, 3, 3), moved as landmarks were."""
-    error = truth - np.column_stack([motion.apply(poses[:, :2]), poses[:, 2] + motion.theta])
-    error[:, :2] = rotated(-motion.theta, error[:, :2])
-    error[:, 2] = wrapped(error[:, 2])
-    return float(_squares(error, covariances).mean()) / 3.0
+    """NEES per degree of freedom of poses (n, p) with covariances (n, p, p), moved as landmarks were.
+
+    The error is that of the covariances: additive in position, about the frame's axes in rotation.
+    """
+    space = motion.space
+    R, dim = space.rotation(motion.pose), space.dim
+    position = (truth[:, :dim] - motion.apply(poses[:, :dim])) @ R
+    there = composed(-motion.angles[np.newaxis], truth[:, dim:])
+    error = np.hstack([position, composed(there, -poses[:, dim:])])
+    return float(_squares(error, covariances).mean()) / space.pose
 
 
 def _squares(error: Floats, covariances: Floats) -> Floats:

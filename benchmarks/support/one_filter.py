@@ -11,7 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
-from submaps.filtering.kernel import predict_invariant, update
+from submaps.filtering.kernel import update
+from submaps.filtering.predicting import predict_invariant
+from submaps.filtering.workspace import workspace
+from submaps.geometry.space import PLANE, Key
+from submaps.observation.models import body_sensor
 
 Floats = NDArray[np.float64]
 
@@ -19,20 +23,24 @@ A_STEP = 5  # observations a step, as the park's drive has
 _LEAST_SECONDS = 0.3  # that a size is measured for
 
 
-@jit("void(float64[::1], float64[:, ::1], int64, float64[:, ::1], float64[:, ::1], int64, int64)")
-def _drive_compiled(x: Floats, P: Floats, n: int, z: Floats, scratch: Floats, a_step: int, steps: int) -> None:
-    u, a, b = scratch[0], scratch[1], scratch[2]
-    mount = np.array([0.0, 0.0, 1.0, 0.0])
+@jit(
+    "void(UniTuple(int64, 2), float64[::1], float64[:, ::1], int64, float64[::1], float64[::1], float64[:, ::1],"
+    "int64, int64)"
+)
+def _drive_compiled(
+    space: Key, x: Floats, P: Floats, n: int, sensor: Floats, z: Floats, scratch: Floats, a_step: int, steps: int
+) -> None:
+    U, A, w = scratch[:1], scratch[1:3], workspace()
     R = np.array([[0.01, 0.0], [0.0, 0.01]])
     noise = np.diag(np.array([4e-4, 1e-4, 4e-6]))
     increment = np.zeros(3)
     for k in range(steps):
         increment[0] = 0.1 if k % 2 else -0.1
-        has_u = predict_invariant(x, P, n, increment, noise, u)
+        has_u = predict_invariant(space, x, P, n, increment, noise, U)
         for i in range(a_step):
-            at = (k * a_step + i) % z.shape[0]
+            at = (k * a_step + i) % (z.shape[0] // 2)
             update(
-                x, P, n, 3 + 2 * at, 0, mount, z[at, 0], z[at, 1], R, math.inf, math.inf, True, u, has_u, a, b,
+                space, x, P, n, 3 + 2 * at, 0, sensor, 0, z, 2 * at, R, math.inf, math.inf, True, U, has_u, A, w,
             )  # fmt: skip
             has_u = False
 
@@ -97,7 +105,8 @@ def microseconds(landmarks: int, *, naive: bool) -> float:
         whole = np.ascontiguousarray(P[:n, :n])
         seconds = _seconds_a_step(partial(_drive_naive, x[:n], whole, z, A_STEP))
     else:
-        seconds = _seconds_a_step(partial(_drive_compiled, x, P, n, z, np.zeros((3, P.shape[0])), A_STEP))
+        scratch, sensor = np.zeros((3, P.shape[0])), body_sensor(PLANE)
+        seconds = _seconds_a_step(partial(_drive_compiled, PLANE.key, x, P, n, sensor, z.ravel(), scratch, A_STEP))
     return seconds / A_STEP * 1e6
 
 

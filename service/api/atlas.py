@@ -15,11 +15,11 @@ from service.api.common import (
     cursor_of,
     hosted_map,
     json_answer,
-    pose,
     position_of,
     problems,
 )
 from service.wire.answers import Graph, SubmapDetail, SubmapList, TransformAnswer
+from service.wire.poses import point_answer, pose_answer
 from submaps.atlas.estimates import SubmapState
 from submaps.measurements import as_encounter
 
@@ -60,9 +60,10 @@ def show_submap(
     robot_pose, covariance = view.local_pose(k)
     return json_answer({
         **_answer(found),
-        "robot_pose": {**pose(robot_pose), "covariance": covariance},
+        "robot_pose": {**pose_answer(robot_pose), "covariance": covariance},
         "local_landmarks": [
-            {"id": one.id, "x": one.x, "y": one.y, "covariance": one.covariance} for one in view.local_landmarks(k)
+            {"id": one.id, **point_answer(one.position), "covariance": one.covariance}
+            for one in view.local_landmarks(k)
         ],
         "untied": [name for name in view.untied(k) if as_encounter(name) is None],
     })  # fmt: skip
@@ -77,7 +78,7 @@ def show_graph(request: Request, map_: MapId) -> Response:
         "map_version": view.version,
         "nodes": [{"id": one.number, "robot": names[one.robot], "active": one.active} for one in view.state.submaps()],
         "edges": [
-            {"kind": e.kind, "a": e.a, "b": e.b, "transform": pose(e.transform), "covariance": e.covariance}
+            {"kind": e.kind, "a": e.a, "b": e.b, "transform": pose_answer(e.transform), "covariance": e.covariance}
             for e in view.edges()
         ],
     })  # fmt: skip
@@ -94,7 +95,7 @@ def show_transform(request: Request, map_: MapId, query: Annotated[TransformQuer
     return json_answer({
         "from": query.from_,
         "to": query.to,
-        "transform": pose(transform),
+        "transform": pose_answer(transform),
         "covariance": covariance,
         "path": list(path),
         "map_version": view.version,
@@ -106,7 +107,7 @@ def _answer(submap: SubmapState) -> dict[str, Any]:
         "id": submap.id,
         "robot": submap.robot,
         "active": submap.active,
-        "pose": None if submap.pose is None else pose(submap.pose),
+        "pose": None if submap.pose is None else pose_answer(submap.pose),
         "covariance": submap.covariance,
         "landmarks": submap.landmarks,
         "steps": submap.steps,

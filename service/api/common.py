@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.engine import Engine
 from service.hosted import Hosted
 from service.problems import MEDIA_TYPE, Problem, invalid
-from service.wire.base import NAME
+from service.wire.base import NAME, Wire
 
 FRAME = r"^(map|odom|submap/(0|[1-9][0-9]{0,8}))$"
 
@@ -83,11 +83,6 @@ def json_answer(content: Any, status: int = 200, headers: dict[str, str] | None 
     return Response(body, status, headers, "application/json")
 
 
-def pose(pose_: tuple[float, float, float]) -> dict[str, float]:
-    """Return (x, y, theta) by name."""
-    return {"x": pose_[0], "y": pose_[1], "theta": pose_[2]}
-
-
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Return the documentation of the problems that a route may answer with."""
     return {
@@ -96,6 +91,17 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
         }}}
         for status in (*statuses, 500, 503)
     }  # fmt: skip
+
+
+def either(in_plane: type[Wire], in_space: type[Wire]) -> dict[int | str, dict[str, Any]]:
+    """Return the documentation of an answer that has one form in maps in se2 and another in se3: an example of each."""
+    examples = {}
+    for space, model in (("se2", in_plane), ("se3", in_space)):
+        extra = model.model_config["json_schema_extra"]
+        assert isinstance(extra, dict)
+        assert isinstance(extra["examples"], list)
+        examples[space] = {"value": extra["examples"][0]}
+    return {200: {"content": {"application/json": {"examples": examples}}}}
 
 
 _MEANING = {

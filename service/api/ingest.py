@@ -11,13 +11,15 @@ from service.api.body import media_type, read_body
 from service.api.common import MapId, RobotId, check_name, engine_of, problems
 from service.api.errors import answer
 from service.problems import Problem
-from service.wire.columns import COLUMNS_TYPE, ROWS_TYPE, decode
+from service.wire.bearing import BEARING_EXAMPLE
+from service.wire.columns import COLUMNS_TYPE, ROWS, ROWS_TYPE, decode
 from service.wire.measurements import (
     COLUMNS_EXAMPLE,
     RANGE_BEARING_EXAMPLE,
     ROWS_EXAMPLE,
     Acknowledgement,
 )
+from service.wire.spatial import CARTESIAN3D_EXAMPLE, PINHOLE_EXAMPLE, STEREO_EXAMPLE
 
 PATH = "/v1/maps/{map}/robots/{robot}"
 
@@ -29,13 +31,14 @@ _BODY = {
     "required": True,
     "content": {
         ROWS_TYPE: {
-            "schema": {"oneOf": [
-                {"$ref": "#/components/schemas/CartesianRows"},
-                {"$ref": "#/components/schemas/RangeBearingRows"},
-            ]},
+            "schema": {"oneOf": [{"$ref": f"#/components/schemas/{rows.__name__}"} for rows in ROWS.values()]},
             "examples": {
                 "cartesian": {"value": ROWS_EXAMPLE},
                 "range_bearing": {"value": RANGE_BEARING_EXAMPLE},
+                "bearing": {"value": BEARING_EXAMPLE},
+                "cartesian3d": {"value": CARTESIAN3D_EXAMPLE},
+                "stereo": {"value": STEREO_EXAMPLE},
+                "pinhole": {"value": PINHOLE_EXAMPLE},
             },
         },
         COLUMNS_TYPE: {
@@ -57,7 +60,7 @@ async def send_measurements(request: Request, map_: MapId, robot: RobotId) -> Re
     seen by every query. A repeat of a batch gets the first answer, with `duplicate` true.
 
     A step's control is of the robot's own motion model. Its `encounters` are sightings of other
-    robots of the map, which join the robots' maps as common landmarks do.
+    robots of the map, which join the robots' maps as common landmarks do; a map in se3 has none.
     """
     return Response(await _take_in(request, map_, robot), media_type="application/json")
 

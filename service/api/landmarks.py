@@ -22,6 +22,7 @@ from service.api.common import (
 from service.problems import invalid
 from service.wire.answers import LandmarkAnswer, LandmarkList
 from service.wire.base import MAP_FRAME
+from service.wire.poses import point_answer
 from submaps.atlas.estimates import LandmarkEstimate
 
 router = APIRouter(prefix="/v1/maps/{map}/landmarks", tags=["landmarks"])
@@ -39,7 +40,9 @@ class LandmarksQuery(Page):
     """In which frame, within which box, which part of the list."""
 
     frame: str = _FRAME
-    bbox: str | None = Field(None, max_length=200, description="x0,y0,x1,y1 in the frame, m", examples=["0,0,50,50"])
+    bbox: str | None = Field(
+        None, max_length=200, description="x0,y0,x1,y1 in the frame, m; in se3 at any z", examples=["0,0,50,50"]
+    )
 
 
 @router.get("", response_model=LandmarkList, summary="List landmarks", responses=problems(404, 409, 422))
@@ -76,8 +79,7 @@ def show_landmark(
 def _answer(landmark: LandmarkEstimate) -> dict[str, Any]:
     return {
         "id": landmark.id,
-        "x": landmark.x,
-        "y": landmark.y,
+        **point_answer(landmark.position),
         "covariance": landmark.covariance,
         "submaps": list(landmark.submaps),
     }

@@ -20,19 +20,28 @@ from service.api.common import (
     RobotId,
     check_name,
     cursor_of,
+    either,
     engine_of,
     hosted_map,
     json_answer,
-    pose,
     position_of,
     problems,
 )
-from service.problems import invalid, not_found
-from service.wire.answers import PoseAnswer, RobotAnswer, RobotList, Trajectory
+from service.hosted import Hosted
+from service.problems import Problem, invalid, not_found
+from service.wire.answers import PoseAnswer, RobotAnswer, RobotList, SpatialPoseAnswer, Trajectory
 from service.wire.base import parse
 from service.wire.columns import ROWS_TYPE
 from service.wire.maps import CONFIG
-from service.wire.robots import ROBOT_REQUEST, RobotRequest, RobotSettingsAnswer
+from service.wire.poses import pose_answer
+from service.wire.robots import (
+    ROBOT_REQUESTS,
+    RobotRequest,
+    RobotSettingsAnswer,
+    SpatialRobotRequest,
+    SpatialRobotSettingsAnswer,
+    start_hint,
+)
 from submaps.atlas.state import RobotState
 from submaps.atlas.view import View
 
@@ -76,24 +85,28 @@ def show_robot(request: Request, map_: MapId, robot: RobotId) -> Response:
 
 
 @router.put(
-    "/{robot}", response_model=RobotSettingsAnswer, summary="Set a robot apart",
-    responses=problems(400, 404, 409, 413, 415, 422),
+    "/{robot}", response_model=RobotSettingsAnswer | SpatialRobotSettingsAnswer, summary="Set a robot apart",
+    responses=problems(400, 404, 409, 413, 415, 422) | either(RobotSettingsAnswer, SpatialRobotSettingsAnswer),
     openapi_extra={"requestBody": {"required": True, "content": {
-        ROWS_TYPE: {"schema": {"$ref": f"#/components/schemas/{RobotRequest.__name__}"}},
+        ROWS_TYPE: {"schema": {"oneOf": [
+            {"$ref": f"#/components/schemas/{form.__name__}"} for form in (RobotRequest, SpatialRobotRequest)
+        ]}},
     }}},
 )  # fmt: skip
 async def configure_robot(request: Request, map_: MapId, robot: RobotId) -> Response:
     """Give a robot models or a start of its own, before its first batch.
 
     Each of `motion`, `observation` and `start` may be left out: the robot has the map's then, and no
-    start. A repeat replaces what was said before. Once the robot has sent measurements: 409,
+    start. A start is of the map's space: x, y, theta, or x, y, z and a quaternion. A repeat replaces what
+    was said before. Once the robot has sent measurements: 409,
     `robot-exists`. The robot is shown and listed from its first batch on.
     """
     engine = engine_of(request)
     hosted = engine.map(map_)
     check_name("robot", robot)
     media_type(request, [ROWS_TYPE])
-    wanted = parse(ROBOT_REQUEST, await read_body(request))
+    space = hosted.core.space
+    wanted = parse(ROBOT_REQUESTS[space], await read_body(request), start_hint(space))
     settings = wanted.completed(parse(CONFIG, hosted.config))
     data = settings.model_dump_json().encode()
     await engine.configure(hosted, robot, data, settings.to_core())
@@ -101,28 +114,32 @@ async def configure_robot(request: Request, map_: MapId, robot: RobotId) -> Resp
 
 
 @router.get(
-    "/{robot}/pose", response_model=PoseAnswer, response_model_exclude_none=True,
-    summary="Where a robot is", responses=problems(404, 409, 422),
+    "/{robot}/pose", response_model=PoseAnswer | SpatialPoseAnswer, response_model_exclude_none=True,
+    summary="Where a robot is", responses=problems(404, 409, 422) | either(PoseAnswer, SpatialPoseAnswer),
 )  # fmt: skip
 async def show_pose(
     request: Request, map_: MapId, robot: RobotId, query: Annotated[PoseQuery, QueryParameters()]
 ) -> Response:
-    """Return a robot's pose with its covariance; 409 where no path of ties leads to the frame."""
-    view = hosted_map(request, map_).view
+    """Return a robot's pose with its covariance; 409 where no path of ties leads to the frame.
+
+    A robot whose motion nothing measures has no dead reckoning, so no frame `odom` and no `map_T_odom`.
+    """
+    hosted = hosted_map(request, map_)
+    view = hosted.view
+    if query.frame == "odom":
+        _check_reckoned(hosted, _find(view, robot))
     found = view.pose(robot, query.frame)
     answer: dict[str, Any] = {
         "frame": found.frame,
         "t": found.t,
-        "x": found.x,
-        "y": found.y,
-        "theta": found.theta,
+        **pose_answer(found.pose),
         "covariance": found.covariance,
         "covariance_kind": found.kind,
         "submap": found.submap,
         "map_version": view.version,
     }
     if found.map_T_odom is not None:
-        answer["map_T_odom"] = pose(found.map_T_odom)
+        answer["map_T_odom"] = pose_answer(found.map_T_odom)
     return json_answer(answer)
 
 
@@ -139,7 +156,9 @@ def show_trajectory(
     if query.kind == "smoothed":
         raise invalid("kind", "got 'smoothed', expected 'filtered' (smoothing comes with refinement)")
     hosted = hosted_map(request, map_)
-    _find(hosted.view, robot)
+    found = _find(hosted.view, robot)
+    if query.frame == "odom":
+        _check_reckoned(hosted, found)
     span = (-float("inf") if query.from_ is None else query.from_, float("inf") if query.to is None else query.to)
     stream = tracks.poses(engine_of(request).journal, hosted, robot, query.frame, span)
     if query.format == "tum":
@@ -154,6 +173,15 @@ def _find(view: View, robot: str) -> RobotState:
     raise not_found("robot", robot)
 
 
+def _check_reckoned(hosted: Hosted, robot: RobotState) -> None:
+    """Raise ``Problem`` (409) where a robot has no dead reckoning."""
+    if hosted.models(robot.id).motion.model == "none":
+        raise Problem(
+            409, "not-connected",
+            f"Robot {robot.id!r} has no motion model, so no dead reckoning leads from 'odom' to it.",
+        )  # fmt: skip
+
+
 def _answer(view: View, robot: RobotState) -> dict[str, Any]:
     return {
         "id": robot.id,
@@ -163,5 +191,5 @@ def _answer(view: View, robot: RobotState) -> dict[str, Any]:
         "observations": robot.observations,
         "rejected": robot.rejected,
         "connected": view.connected(robot.number),
-        "pose": {"frame": f"submap/{robot.submap}", **pose(robot.pose)},
+        "pose": {"frame": f"submap/{robot.submap}", **pose_answer(robot.pose)},
     }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from service.hosted import Hosted
 from service.store.base import Journal
 from service.store.encoding import decode_track
+from service.wire.poses import pose_answer, tum_rest
 from submaps.atlas.view import View
-
-Pose = tuple[float, float, float]
+from submaps.geometry.space import Pose, Space
 
 
 @dataclass(frozen=True)
 class Piece:
-    """Poses (n, 3) in the frame asked for, at times (n,) s, each from the filter of a sub-map (n,)."""
+    """Poses, n of them, in the frame asked for, at times (n,) s, each from the filter of a sub-map (n,)."""
 
     t: NDArray[np.float64]
     submap: NDArray[np.int32]
-    pose: NDArray[np.float64]
+    pose: Sequence[Pose]
 
 
 @dataclass(frozen=True)
@@ -49,27 +49,23 @@ def poses(journal: Journal, hosted: Hosted, robot: str, frame: str, span: tuple[
     # The view is taken after the first read: it knows every sub-map that the read can bring.
     view = hosted.view
     frames: dict[int, Pose] = {}
-    pieces = (_piece(data, view, frame, frames, span) for data in chain([first], kept))
+    pieces = (_piece(data, hosted.core.geometry, view, frame, frames, span) for data in chain([first], kept))
     return Stream(view.version, chain([next(pieces)], pieces))
 
 
-def _piece(data: bytes, view: View, frame: str, frames: dict[int, Pose], span: tuple[float, float]) -> Piece:
+def _piece(
+    data: bytes, space: Space, view: View, frame: str, frames: dict[int, Pose], span: tuple[float, float]
+) -> Piece:
     track = decode_track(data)
     within = (track.t >= span[0]) & (track.t <= span[1])
-    submap, pose = track.submap[within], track.pose[within]
+    t, submap = track.t[within], track.submap[within]
     if frame == "odom":
-        return Piece(track.t[within], submap, track.odom[within])
-    for k in set(submap.tolist()) - frames.keys():
+        return Piece(t, submap, [tuple(pose) for pose in track.odom[within].tolist()])
+    numbers = submap.tolist()
+    for k in set(numbers) - frames.keys():
         frames[k] = view.frame_in(k, frame)
-    x, y, theta = np.array([frames[k] for k in submap.tolist()]).reshape(-1, 3).T
-    cosine, sine = np.cos(theta), np.sin(theta)
-    heading = theta + pose[:, 2]
-    there = np.column_stack([
-        x + cosine * pose[:, 0] - sine * pose[:, 1],
-        y + sine * pose[:, 0] + cosine * pose[:, 1],
-        np.arctan2(np.sin(heading), np.cos(heading)),
-    ])  # fmt: skip
-    return Piece(track.t[within], submap, there)
+    rows = zip(numbers, track.pose[within].tolist(), strict=True)
+    return Piece(t, submap, [space.compose(frames[k], tuple(pose)) for k, pose in rows])
 
 
 def as_json(stream: Stream, robot: str, frame: str) -> Iterator[bytes]:
@@ -78,10 +74,8 @@ def as_json(stream: Stream, robot: str, frame: str) -> Iterator[bytes]:
     yield orjson.dumps(head)[:-1] + b',"poses":['
     separator = b""
     for piece in stream.pieces:
-        rows = zip(piece.t.tolist(), piece.pose.tolist(), piece.submap.tolist(), strict=True)
-        body = orjson.dumps([
-            {"t": t, "x": x, "y": y, "theta": theta, "submap": k} for t, (x, y, theta), k in rows
-        ])  # fmt: skip
+        rows = zip(piece.t.tolist(), piece.pose, piece.submap.tolist(), strict=True)
+        body = orjson.dumps([{"t": t, **pose_answer(pose), "submap": k} for t, pose, k in rows])
         if len(body) > 2:
             yield separator + body[1:-1]
             separator = b","
@@ -91,9 +85,6 @@ def as_json(stream: Stream, robot: str, frame: str) -> Iterator[bytes]:
 def as_tum(stream: Stream) -> Iterator[bytes]:
     """Yield a trajectory as lines ``t x y z qx qy qz qw``."""
     for piece in stream.pieces:
-        lines = [
-            f"{t!r} {x!r} {y!r} 0 0 0 {np.sin(theta / 2):.17g} {np.cos(theta / 2):.17g}\n"
-            for t, (x, y, theta) in zip(piece.t.tolist(), piece.pose.tolist(), strict=True)
-        ]
+        lines = [f"{t!r} {tum_rest(pose)}\n" for t, pose in zip(piece.t.tolist(), piece.pose, strict=True)]
         if lines:
             yield "".join(lines).encode()

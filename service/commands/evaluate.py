@@ -24,6 +24,8 @@ from service.commands.console import (
 )
 from service.datasets import read_source
 from service.datasets.tum import read_tum
+from service.wire.poses import pose_answer
+from submaps.config import SpaceName
 
 if TYPE_CHECKING:
     from service.evaluating import MapError
@@ -35,6 +37,13 @@ class Apart(StrEnum):
 
     frames = "frames"
     meters = "meters"
+
+
+class Of(StrEnum):
+    """What ``--space`` chooses."""
+
+    se2 = "se2"
+    se3 = "se3"
 
 
 def evaluate(
@@ -51,6 +60,9 @@ def evaluate(
     max_difference: Annotated[
         float, typer.Option(min=0.0, help="Seconds by which poses that belong together may differ.")
     ] = 0.01,
+    space: Annotated[
+        Of, typer.Option(help="What of TUM files counts: se2, x, y and the yaw; se3, the whole of the poses.")
+    ] = Of.se2,
     json: Json = False,
 ) -> None:
     """Compare with the truth: two trajectories (ESTIMATE TRUTH), or a map of a service (--truth SOURCE)."""
@@ -62,17 +74,17 @@ def evaluate(
         if source is not None:
             _a_map(url, map_, source, delta, unit, json)
         elif estimate is not None and truth is not None:
-            _trajectories(estimate, truth, align, (delta, unit), max_difference, json)
+            _trajectories(estimate, truth, align, (delta, unit), max_difference, space.value, json)
     except NothingInCommon as error:
         fail(str(error), INPUT)
 
 
 def _trajectories(
-    estimate: Path, truth: Path, align: bool, apart: tuple[float, Apart], most: float, json: bool
+    estimate: Path, truth: Path, align: bool, apart: tuple[float, Apart], most: float, space: SpaceName, json: bool
 ) -> None:
     from submaps.evaluation import absolute_error, associate, relative_error
 
-    own, true = associate(read_tum(estimate), read_tum(truth), most)
+    own, true = associate(read_tum(estimate, space), read_tum(truth, space), most)
     absolute = absolute_error(own, true, aligned=align)
     relative, turn = relative_error(own, true, apart[0], apart[1].value)
     if json:
@@ -90,9 +102,13 @@ def _trajectories(
         [
             _cells("absolute, aligned" if align else "absolute, as it comes", absolute, "m"),
             _cells(f"relative, {apart[0]:g} {apart[1]}", relative, "m"),
-            _cells("the same, heading", turn, "rad"),
+            _cells(f"the same, {_turn(own.space.dim)}", turn, "rad"),
         ],
     )
+
+
+def _turn(dim: int) -> str:
+    return "heading" if dim == 2 else "rotation"
 
 
 def _cells(label: str, found: Statistics, unit: str) -> list[str]:
@@ -120,7 +136,7 @@ def _told(found: MapError) -> dict[str, Any]:
         "landmarks_m": asdict(found.landmarks.statistics),
         "landmark_nees": found.landmarks.nees,
         "pose_nees": found.pose_nees,
-        "alignment": {key: getattr(found.landmarks.alignment, key) for key in ("x", "y", "theta")},
+        "alignment": pose_answer(found.landmarks.alignment.pose),
         "robots": {robot: asdict(error) for robot, error in found.robots.items()},
         "unconnected": found.unconnected,
     }
@@ -128,19 +144,21 @@ def _told(found: MapError) -> dict[str, Any]:
 
 def _show(name: str, found: MapError, apart: str) -> None:
     landmarks = found.landmarks
+    space = landmarks.alignment.space
     rows = [
         (f"RMSE of {landmarks.statistics.count} landmarks, aligned", f"{landmarks.statistics.rmse:.4f} m"),
         ("the largest of them", f"{landmarks.statistics.max:.4f} m"),
-        ("their NEES by 2n - 3 (alignment takes 3)", f"{landmarks.nees:.2f}"),
+        (f"their NEES by {space.dim}n - {space.pose} (alignment takes {space.pose})", f"{landmarks.nees:.2f}"),
     ]
     if found.pose_nees is not None:
-        rows.append((f"NEES of {found.poses} last poses by 3n, aligned as landmarks", f"{found.pose_nees:.2f}"))
+        label = f"NEES of {found.poses} last poses by {space.pose}n, aligned as landmarks"
+        rows.append((label, f"{found.pose_nees:.2f}"))
     if found.unconnected:
         rows.append(("not connected yet", ", ".join(found.unconnected)))
     print_rows(f"{name} against the truth", rows)
     if found.robots:
         print_table(
-            ["robot", "poses", "ATE", "ATE, aligned as landmarks", f"RPE, {apart}", "heading"],
+            ["robot", "poses", "ATE", "ATE, aligned as landmarks", f"RPE, {apart}", _turn(space.dim)],
             [
                 [robot, f"{e.absolute.count:,}", *(f"{v.rmse:.4f} m" for v in (e.absolute, e.common, e.relative)),
                  f"{e.turn.rmse:.4f} rad"]

@@ -42,14 +42,17 @@ def replay(
     ] = None,
     json: Json = False,
     batch: Annotated[
-        bool, typer.Option(help="Compute the batch optimum too, and compare the landmarks with it.")
+        bool, typer.Option(help="Compute the batch optimum too (in the plane only), and compare the landmarks with it.")
     ] = True,
     plot: Annotated[Path | None, typer.Option(help="Draw the map into this file (needs the extra plot).")] = None,
+    without_odometry: Annotated[
+        bool, typer.Option("--without-odometry", help="Leave the odometry out: a map without motion, in space only.")
+    ] = False,
 ) -> None:
     """Replay a recorded run through the service over HTTP, solve the map, and tell how it went."""
     from service.replaying import map_name  # brings in the compiled kernel
 
-    run = read_source(source)
+    run = read_source(source, odometry=not without_odometry)
     if plot is not None:
         check_picture(plot)
     name = map_ or map_name(run)
@@ -67,14 +70,14 @@ def replay(
 
 def _replayed(client: Client, run: Dataset, name: str, batch: bool, quiet: bool) -> Found:
     from service.evaluating import map_error
-    from service.replaying import batch_points, compare, replay
+    from service.replaying import batch_points, compare, has_batch, replay
     from submaps.evaluation import NothingInCommon
 
     to_batch = to_truth = batch_to_truth = None
     with bar(quiet) as progress:
         through = progress.add_task("Replaying through HTTP", total=run.steps)
         done = replay(client, run, name, lambda n, _: progress.update(through, completed=n))
-        if batch:
+        if batch and has_batch(run):
             solving = progress.add_task("Solving the batch optimum", total=None)
             best = batch_points(run, lambda n, total: progress.update(solving, completed=n, total=total))
             to_batch = compare(done.points, best)

@@ -50,6 +50,26 @@ def finite(texts: Iterable[str]) -> tuple[float, ...]:
     return tuple(number(text, float, "a finite number") for text in texts)
 
 
+def table(path: Path, columns: int, separator: str | None = None) -> Floats:
+    """The numbers (n, columns) of a file, its comments left out.
+
+    They stand apart by white space, or by a separator. Raises ``DatasetError``, naming the line.
+    """
+    rows = []
+    with opened(path) as lines:
+        for k, line in enumerate(lines, start=1):
+            if line.isspace() or line.lstrip().startswith("#"):
+                continue
+            try:
+                row = finite(line.split(separator))
+            except BadLine:
+                row = ()
+            if len(row) != columns:
+                raise DatasetError(f"{path}:{k}: expected {columns} finite numbers, got {line.strip()!r}")
+            rows.append(row)
+    return np.array(rows, dtype=np.float64).reshape(-1, columns)
+
+
 class LineNoise:
     """Covariances of one kind of line, each distinct triangle (upper, in row order) turned into a matrix once."""
 

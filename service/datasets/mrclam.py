@@ -45,6 +45,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.datasets.dataset import Dataset, DatasetError, Truth
+from service.datasets.lines import table
 from submaps.config import MapConfig, MotionConfig, ObservationConfig
 from submaps.measurements import Batch, encounter
 from submaps.trajectory import Trajectory
@@ -111,46 +112,20 @@ def _count(notes: dict[str, int], name: str, number: int) -> None:
 # -- files ---------------------------------------------------------------------------------------
 
 
-def _table(path: Path, columns: int) -> Floats:
-    """The numbers (n, columns) of a file, its comments left out."""
-    try:
-        with path.open(encoding="utf-8") as lines:
-            rows = [_numbers(path, number, line, columns) for number, line in enumerate(lines, 1) if _holds(line)]
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read ({error.strerror})") from error
-    except UnicodeDecodeError as error:
-        raise DatasetError(f"{path}: not a text file (no UTF-8 at byte {error.start})") from error
-    return np.array(rows, dtype=np.float64).reshape(-1, columns)
-
-
-def _holds(line: str) -> bool:
-    return not line.isspace() and not line.lstrip().startswith("#")
-
-
-def _numbers(path: Path, number: int, line: str, columns: int) -> list[float]:
-    try:
-        row = [float(field) for field in line.split()]
-    except ValueError:
-        row = []
-    if len(row) != columns or not all(map(math.isfinite, row)):
-        raise DatasetError(f"{path}:{number}: expected {columns} finite numbers, got {line.strip()!r}")
-    return row
-
-
 def _subjects(folder: Path) -> dict[int, int]:
     """Subjects by their barcodes."""
-    return {int(barcode): int(subject) for subject, barcode in _table(folder / BARCODES, 2)}
+    return {int(barcode): int(subject) for subject, barcode in table(folder / BARCODES, 2)}
 
 
 def _truth(folder: Path, robots: list[int], origin: float) -> Truth | None:
     path = folder / LANDMARKS
     if not path.is_file():
         return None
-    landmarks = {str(int(row[0])): row[1:3] for row in _table(path, 5)}
+    landmarks = {str(int(row[0])): row[1:3] for row in table(path, 5)}
     tracks = {}
     for n in robots:
         if _file(folder, n, "Groundtruth").is_file():
-            rows = _table(_file(folder, n, "Groundtruth"), 4)
+            rows = table(_file(folder, n, "Groundtruth"), 4)
             rows = rows[np.argsort(rows[:, 0], kind="stable")]
             tracks[_name(n)] = Trajectory(_seconds(rows[:, 0], origin), np.ascontiguousarray(rows[:, 1:]))
     return Truth(landmarks, tracks)
@@ -165,7 +140,7 @@ def _seconds(t: Floats, origin: float) -> Floats:
 
 def _odometry(path: Path, notes: dict[str, int]) -> Floats:
     """Readings (n, 3) time, v, omega with rising times."""
-    rows = _table(path, 3)
+    rows = table(path, 3)
     if not len(rows):
         raise DatasetError(f"{path}: expected lines of time, v and omega, found none")
     before = np.concatenate([[-np.inf], np.maximum.accumulate(rows[:, 0])[:-1]])
@@ -178,7 +153,7 @@ def _odometry(path: Path, notes: dict[str, int]) -> Floats:
 
 
 def _sightings(path: Path, subjects: dict[int, int], own: int, odometry: Floats, notes: dict[str, int]) -> _Sightings:
-    rows = _table(path, 4)
+    rows = table(path, 4)
     if np.any(rows[:, 2] <= 0.0):
         raise DatasetError(f"{path}: expected ranges above 0, got {rows[:, 2].min()}")
     rows = rows[np.argsort(rows[:, 0], kind="stable")]

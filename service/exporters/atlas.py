@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.client import Client, Refused, path_of
+from service.wire.poses import point_of, pose_of
+from submaps.geometry.space import PLANE, SOLID, SPACES, Space
 from submaps.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
@@ -26,8 +28,8 @@ class Track:
 class Atlas:
     """All of a map that a picture shows, in the frame ``map``.
 
-    ``frames`` (k, 3) are the sub-maps' origins; ``landmarks`` (n, 2) have the covariances (n, 2, 2)
-    in m². ``unconnected`` robots have no place in ``map`` yet.
+    ``frames`` (k, 3) are the sub-maps' origins, in space (k, 6); ``landmarks`` (n, d) have the covariances
+    (n, d, d) in m². ``unconnected`` robots have no place in ``map`` yet.
     """
 
     name: str
@@ -38,21 +40,27 @@ class Atlas:
     covariances: Floats
     unconnected: list[str]
 
+    @property
+    def space(self) -> Space:
+        """The plane or space that it lies in."""
+        return PLANE if self.frames.shape[1] == PLANE.pose else SOLID
+
 
 def read_atlas(client: Client, map_: str) -> Atlas:
     """Read a map from a service; raises what the client raises."""
     path = path_of(map_)
-    counts = client.request("GET", path)["counts"]
+    answer = client.request("GET", path)
+    space = SPACES[answer["config"].get("space", "se2")]
     tracks, unconnected = read_tracks(client, map_)
     poses = [one["pose"] for one in client.pages(f"{path}/submaps", "submaps") if one["pose"]]
     landmarks = client.landmarks(map_)
     return Atlas(
         name=map_,
-        counts=counts,
+        counts=answer["counts"],
         tracks=tracks,
-        frames=np.array([[p["x"], p["y"], p["theta"]] for p in poses]).reshape(-1, 3),
-        landmarks=np.array([[one["x"], one["y"]] for one in landmarks]).reshape(-1, 2),
-        covariances=np.array([one["covariance"] for one in landmarks]).reshape(-1, 2, 2),
+        frames=np.array([pose_of(p) for p in poses]).reshape(-1, space.pose),
+        landmarks=np.array([point_of(one) for one in landmarks]).reshape(-1, space.dim),
+        covariances=np.array([one["covariance"] for one in landmarks]).reshape(-1, space.dim, space.dim),
         unconnected=unconnected,
     )
 
@@ -73,5 +81,5 @@ def read_tracks(client: Client, map_: str) -> tuple[list[Track], list[str]]:
 def _track(client: Client, map_: str, robot: str) -> Track:
     poses = client.request("GET", f"{path_of(map_, robot)}/trajectory?frame=map")["poses"]
     t = np.array([p["t"] for p in poses], dtype=np.float64)
-    pose = np.array([[p["x"], p["y"], p["theta"]] for p in poses]).reshape(-1, 3)
+    pose = np.array([pose_of(p) for p in poses])  # a robot exists from its first batch, so there are some
     return Track(robot, Trajectory(t, pose), np.array([p["submap"] for p in poses], dtype=np.int64))

@@ -1,4 +1,7 @@
-"""A picture of a map: trajectories, the frames of the sub-maps, landmarks with their uncertainty."""
+"""A picture of a map: trajectories, the frames of the sub-maps, landmarks with their uncertainty.
+
+A map in space is drawn as seen from above: x and y of everything.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +15,13 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from service.exporters.atlas import Atlas, Track
+from submaps.geometry.space import Space
 
 Floats = NDArray[np.float64]
 
 INK, FAINT, PAPER = "#22303c", "#8a97a3", "#fbfbf9"
 TREE = "#1b7f4b"
-FORWARD, LEFT = "#c8372d", "#2f6fb3"  # a frame's x and y axes
+AXES = ("#c8372d", "#2f6fb3", "#6d7f2a")  # a frame's x, y and z axes
 # Neighbouring sub-maps differ in hue; none is that of a landmark.
 SUBMAPS = ("#e0912f", "#7a5ea8", "#3b8fb5", "#c25b86", "#8c7a3d", "#5b6bb8")
 # Where there are several robots each has one hue; more than there are hues share them.
@@ -40,7 +44,7 @@ def draw(atlas: Atlas, path: Path) -> None:
         _draw_track(axes, track, None if len(atlas.tracks) == 1 else ROBOTS[k % len(ROBOTS)])
     frames = atlas.frames[:: _frames_apart(atlas)]
     crowd = np.clip(100.0 / max(len(frames), 1), 0.6, 1.0)  # many frames: shorter strokes
-    _draw_frames(axes, frames, 0.016 * reach * float(crowd))
+    _draw_frames(axes, frames, atlas.space, 0.016 * reach * float(crowd))
     _draw_landmarks(axes, atlas)
     _dress(axes, atlas, low, high)
     _add_legend(axes, entries)
@@ -54,6 +58,11 @@ def ellipses(covariances: Floats, sigmas: float) -> tuple[Floats, Floats, Floats
     return axes[:, 1], axes[:, 0], np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1]))
 
 
+def _from_above(atlas: Atlas) -> Floats:
+    """Covariances (n, 2, 2) of x and y."""
+    return atlas.covariances[:, :2, :2]
+
+
 def _frames_apart(atlas: Atlas) -> int:
     """Of so many frames one is drawn: more than some hundreds would hide the trajectories."""
     return max(-(-len(atlas.frames) // _MOST_FRAMES), 1)
@@ -61,7 +70,7 @@ def _frames_apart(atlas: Atlas) -> int:
 
 def _extent(atlas: Atlas) -> tuple[Floats, Floats]:
     ways = [track.trajectory.poses[:, :2] for track in atlas.tracks]
-    points = np.vstack([atlas.landmarks, atlas.frames[:, :2], *ways])
+    points = np.vstack([atlas.landmarks[:, :2], atlas.frames[:, :2], *ways])
     if not points.size:
         return np.array([-1.0, -1.0]), np.array([1.0, 1.0])
     low, high = points.min(axis=0), points.max(axis=0)
@@ -81,10 +90,12 @@ def _draw_track(axes: Axes, track: Track, hue: str | None) -> None:
     axes.plot(*points[-1], marker="s", ms=7, mfc=hue or INK, mec=PAPER, mew=1.2, zorder=6)
 
 
-def _draw_frames(axes: Axes, frames: Floats, length: float) -> None:
-    for turn, hue in ((0.0, FORWARD), (np.pi / 2, LEFT)):
-        angle = frames[:, 2] + turn
-        tips = frames[:, :2] + length * np.column_stack([np.cos(angle), np.sin(angle)])
+def _draw_frames(axes: Axes, frames: Floats, space: Space, length: float) -> None:
+    if not len(frames):
+        return
+    R = np.array([space.rotation(frame) for frame in frames])
+    for axis, hue in zip(range(space.dim), AXES, strict=False):
+        tips = frames[:, :2] + length * R[:, :2, axis]
         strokes = np.stack([frames[:, :2], tips], axis=1)
         axes.add_collection(LineCollection(list(strokes), colors=hue, linewidths=0.9, zorder=3))
 
@@ -92,13 +103,14 @@ def _draw_frames(axes: Axes, frames: Floats, length: float) -> None:
 def _draw_landmarks(axes: Axes, atlas: Atlas) -> None:
     if not len(atlas.landmarks):
         return
-    widths, heights, turns = ellipses(atlas.covariances, 2.0)
+    points = atlas.landmarks[:, :2]
+    widths, heights, turns = ellipses(_from_above(atlas), 2.0)
     shapes = EllipseCollection(
-        widths, heights, turns, units="xy", offsets=atlas.landmarks, offset_transform=axes.transData, zorder=1
+        widths, heights, turns, units="xy", offsets=points, offset_transform=axes.transData, zorder=1
     )
     shapes.set(facecolor=TREE + "40", edgecolor=TREE, linewidth=0.9)
     axes.add_collection(shapes)
-    axes.plot(*atlas.landmarks.T, linestyle="", marker="o", ms=1.8, mew=0, color=TREE, zorder=5)
+    axes.plot(*points.T, linestyle="", marker="o", ms=1.8, mew=0, color=TREE, zorder=5)
 
 
 def _dress(axes: Axes, atlas: Atlas, low: Floats, high: Floats) -> None:
@@ -114,7 +126,8 @@ def _dress(axes: Axes, atlas: Atlas, low: Floats, high: Floats) -> None:
     told = [f"{counts[key]:,} {one}{'s' * (counts[key] != 1)}" for key, one in names.items()]
     if atlas.unconnected:
         told.append(f"not connected yet: {', '.join(atlas.unconnected)}")
-    axes.set_title(atlas.name, loc="left", color=INK, fontsize=15, fontweight="bold", pad=26)
+    title = atlas.name if atlas.space.dim == 2 else f"{atlas.name}, seen from above (x, y)"
+    axes.set_title(title, loc="left", color=INK, fontsize=15, fontweight="bold", pad=26)
     axes.text(0.0, 1.012, "   ".join(told), transform=axes.transAxes, color=FAINT, fontsize=9.5, va="bottom")
 
 
@@ -133,13 +146,15 @@ def _robots(atlas: Atlas) -> list[Line2D]:
 def _legend_entries(atlas: Atlas) -> list[Line2D]:
     size = ""
     if len(atlas.landmarks):
-        size = f" (median half-axis {np.median(ellipses(atlas.covariances, 2.0)[0]) / 2:.2g} m)"
+        size = f" (median half-axis {np.median(ellipses(_from_above(atlas), 2.0)[0]) / 2:.2g} m)"
     apart = _frames_apart(atlas)
     some = "" if apart == 1 else f" (one in {apart})"
     return [
         *_robots(atlas),
-        Line2D([], [], color=FORWARD, lw=1.6, label=f"sub-map frame{some}: x"),
-        Line2D([], [], color=LEFT, lw=1.6, label=f"sub-map frame{some}: y"),
+        *(
+            Line2D([], [], color=hue, lw=1.6, label=f"sub-map frame{some}: {name}")
+            for name, hue in zip("xyz"[: atlas.space.dim], AXES, strict=False)
+        ),
         Line2D(
             [], [], ls="", marker="o", ms=9, mfc=TREE + "38", mec=TREE, mew=0.9, label=f"landmark, 2σ ellipse{size}"
         ),

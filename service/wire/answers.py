@@ -12,6 +12,8 @@ Covariance = list[list[float]]
 
 
 _POSE = {"x": 12.5, "y": -3.25, "theta": 0.5}
+_SPATIAL_POSE = {"x": 12.5, "y": -3.25, "z": 0.75, "quaternion": [0.0, 0.0, 0.24740396, 0.96891242]}
+_COVARIANCE6 = [[0.01 * (i == j) for j in range(6)] for i in range(6)]
 _COVARIANCE3 = [[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 1e-4]]
 _COVARIANCE2 = [[0.04, 0.0], [0.0, 0.04]]
 
@@ -23,6 +25,20 @@ class Pose(Wire):
     y: float = Field(description="m")
     theta: float = Field(description="rad, counter-clockwise")
 
+
+class SpatialPose(Wire):
+    """A pose in space, or the transform that takes coordinates in one frame to another, in a map in se3."""
+
+    x: float = Field(description="m")
+    y: float = Field(description="m")
+    z: float = Field(description="m")
+    quaternion: list[float] = Field(min_length=4, max_length=4, description="unit quaternion x, y, z, w")
+
+
+_OF_A_POSE = (
+    "of the errors of x, y and theta along the frame's axes; in se3 6x6, of x, y, z and of the rotation about the "
+    "frame's axes, R = exp(e) R of the estimate"
+)
 
 _ROBOT = {
     "id": "r1", "submap": 3, "t": 694.2, "steps": 6942, "observations": 3640, "rejected": 0, "connected": True,
@@ -40,6 +56,11 @@ class RobotAnswer(Wire):
 
         frame: str
 
+    class SpatialSubmapPose(SpatialPose):
+        """A pose in space in a sub-map's frame."""
+
+        frame: str
+
     id: str
     submap: int = Field(description="its active sub-map")
     t: float = Field(description="time of its last step, s")
@@ -47,7 +68,7 @@ class RobotAnswer(Wire):
     observations: int = Field(description="that were used, encounters included")
     rejected: int
     connected: bool = Field(description="whether ties, or its start, lead from `map` to it")
-    pose: SubmapPose
+    pose: SubmapPose | SpatialSubmapPose
 
 
 class RobotList(Wire):
@@ -59,25 +80,50 @@ class RobotList(Wire):
     next: str | None
 
 
-class PoseAnswer(Pose):
-    """Where a robot is."""
-
-    model_config = example(
-        frame="map", t=694.2, **_POSE, covariance=_COVARIANCE3, covariance_kind="joined", submap=3, map_version=12,
-        map_T_odom={"x": 0.2, "y": 0.1, "theta": 0.03},
-    )  # fmt: skip
+class Estimated(Wire):
+    """What is told with a robot's pose."""
 
     frame: str
     t: float
-    covariance: Covariance = Field(description="of the errors of x, y and theta along the frame's axes")
+    covariance: Covariance = Field(description=_OF_A_POSE)
     covariance_kind: Literal["joined", "path", "filtered", "dead_reckoning"]
     submap: int
     map_version: int
+
+
+_ESTIMATED = {"frame": "map", "t": 694.2, "covariance_kind": "joined", "submap": 3, "map_version": 12}
+
+
+class PoseAnswer(Pose, Estimated):
+    """Where a robot is, in a map in se2."""
+
+    model_config = example(
+        **_POSE, **_ESTIMATED, covariance=_COVARIANCE3, map_T_odom={"x": 0.2, "y": 0.1, "theta": 0.03}
+    )
+
     map_T_odom: Pose | None = Field(None, description="only for `map`")
+
+
+class SpatialPoseAnswer(SpatialPose, Estimated):
+    """Where a robot is, in a map in se3."""
+
+    model_config = example(
+        **_SPATIAL_POSE, **_ESTIMATED, covariance=_COVARIANCE6,
+        map_T_odom={"x": 0.2, "y": 0.1, "z": 0.0, "quaternion": [0.0, 0.0, 0.0, 1.0]},
+    )  # fmt: skip
+
+    map_T_odom: SpatialPose | None = Field(None, description="only for `map`, and where the robot's motion is measured")
 
 
 class TrackPose(Pose):
     """A pose of a trajectory, and the sub-map whose filter gave it."""
+
+    t: float
+    submap: int
+
+
+class SpatialTrackPose(SpatialPose):
+    """A pose of a trajectory in space, and the sub-map whose filter gave it."""
 
     t: float
     submap: int
@@ -94,7 +140,7 @@ class Trajectory(Wire):
     frame: str
     kind: Literal["filtered"]
     map_version: int
-    poses: list[TrackPose]
+    poses: list[TrackPose] | list[SpatialTrackPose]
 
 
 class LandmarkBody(Wire):
@@ -103,7 +149,8 @@ class LandmarkBody(Wire):
     id: str
     x: float = Field(description="m")
     y: float = Field(description="m")
-    covariance: Covariance
+    z: float = Field(0.0, description="m; in a map in se3 only")
+    covariance: Covariance = Field(description="2x2, in se3 3x3, along the frame's axes")
     submaps: list[int] = Field(description="the sub-maps that hold it")
 
 
@@ -143,8 +190,8 @@ class SubmapAnswer(Wire):
     id: int
     robot: str
     active: bool
-    pose: Pose | None = Field(description="its frame in `map`; null where no tie leads there yet")
-    covariance: Covariance | None
+    pose: Pose | SpatialPose | None = Field(description="its frame in `map`; null where no tie leads there yet")
+    covariance: Covariance | None = Field(description=_OF_A_POSE)
     landmarks: int
     steps: int
     observations: int
@@ -159,12 +206,19 @@ class LocalPose(Pose):
     covariance: Covariance
 
 
+class SpatialLocalPose(SpatialPose):
+    """A pose in space with its covariance."""
+
+    covariance: Covariance
+
+
 class LocalLandmark(Wire):
     """A landmark in its sub-map's own frame."""
 
     id: str
     x: float
     y: float
+    z: float = Field(0.0, description="m; in a map in se3 only")
     covariance: Covariance
 
 
@@ -176,7 +230,7 @@ class SubmapDetail(SubmapAnswer):
         local_landmarks=[{"id": "7", "x": 4.5, "y": 1.25, "covariance": _COVARIANCE2}], untied=[],
     )  # fmt: skip
 
-    robot_pose: LocalPose
+    robot_pose: LocalPose | SpatialLocalPose
     local_landmarks: list[LocalLandmark]
     untied: list[str] = Field(description="landmarks whose first sighting here does not agree with the map")
 
@@ -204,8 +258,8 @@ class EdgeAnswer(Wire):
     kind: Literal["exit", "tie"]
     a: int
     b: int
-    transform: Pose = Field(description="T_a_b")
-    covariance: Covariance
+    transform: Pose | SpatialPose = Field(description="T_a_b")
+    covariance: Covariance = Field(description=_OF_A_POSE)
 
 
 class Graph(Wire):
@@ -230,7 +284,7 @@ class TransformAnswer(Wire):
 
     from_: int = Field(alias="from")
     to: int
-    transform: Pose
-    covariance: Covariance
+    transform: Pose | SpatialPose
+    covariance: Covariance = Field(description=_OF_A_POSE)
     path: list[int]
     map_version: int

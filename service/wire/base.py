@@ -13,6 +13,7 @@ from service.problems import Problem
 NAME = "^[a-z0-9][a-z0-9_-]{0,63}$"
 MAP_FRAME = r"^(map|submap/(0|[1-9][0-9]{0,8}))$"
 LARGEST = 1e9
+LARGEST_TURN = 1e5  # rad: up to here sine and cosine are good to an ulp
 LATEST = 1e11  # s: room for seconds since 1970, which pass LARGEST
 MOST_ERRORS = 20  # listed in one answer
 
@@ -36,6 +37,7 @@ def _printable(text: str) -> str:
 
 Name = Annotated[str, Field(pattern=NAME, examples=["park"])]
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+Turn = Annotated[float, Field(ge=-LARGEST_TURN, le=LARGEST_TURN)]
 Seconds = Annotated[float, Field(ge=-LATEST, le=LATEST, description="the robot's own clock, s")]
 LandmarkId = Annotated[str, Field(min_length=1, max_length=128, examples=["7"]), AfterValidator(_printable)]
 FAIL_FAST = Field(fail_fast=True)

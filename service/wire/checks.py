@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.problems import Problem, invalid
-from service.wire.base import shown
+from service.wire.base import LARGEST_TURN, shown
+from service.wire.models import SPATIAL
 from submaps.config import Models, MotionConfig
 from submaps.measurements import Batch
 from submaps.motion.limits import STEER_LIMIT, expected_steer, followable
@@ -24,13 +26,22 @@ Ints = NDArray[np.int64]
 PathOf = Callable[[int], str]
 
 
+# Channels that are angles which may not be so large that their sine means nothing.
+_TURNS = {"odometry3d": (3, 4, 5), "bearing": (0,)}
+
+
 def expected(models: Models) -> str:
     """Return which models a robot's measurements are of."""
     motion, seen = models.motion, models.observation
-    return (
-        f"this robot's motion model is {motion.model} ({', '.join(motion.channels)}) and its "
-        f"observations are {seen.model} ({', '.join(seen.channels)})"
-    )
+    moves = f"this robot's motion model is {motion.model}"
+    if motion.channels:
+        moves += f" ({', '.join(motion.channels)})"
+    return f"{moves} and its observations are {seen.model} ({', '.join(seen.channels)})"
+
+
+def in_space(models: Models) -> bool:
+    """Return whether a robot is one of a map in se3."""
+    return models.observation.model in SPATIAL
 
 
 def check(good: NDArray[np.bool_], path: PathOf, values: NDArray[Any], expected_: str) -> None:
@@ -59,6 +70,16 @@ def check_steer(motion: MotionConfig, control: Floats, path: PathOf) -> None:
     """Check that a vehicle can follow controls (d, c); raises ``Problem`` (422)."""
     if motion.model in STEER_LIMIT:
         check(followable(motion, control), path, control[1], expected_steer(motion))
+
+
+def check_turns(model: str, values: Floats, path: Callable[[int, int], str]) -> None:
+    """Check the angles among readings (d, n) of a model; raises ``Problem`` (422).
+
+    ``path`` is of a channel and a reading.
+    """
+    for channel in _TURNS.get(model, ()):
+        small = np.abs(values[channel]) <= LARGEST_TURN
+        check(small, partial(path, channel), values[channel], f"an angle within {LARGEST_TURN:g} rad")
 
 
 def check_others(robot: str, met: Sequence[str], path: PathOf) -> None:

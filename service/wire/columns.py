@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from service.problems import invalid
-from service.wire.base import parse, shown
+from service.wire.base import Wire, parse, shown
+from service.wire.bearing import BearingRows
 from service.wire.checks import (
     Floats,
     Ints,
@@ -21,11 +22,14 @@ from service.wire.checks import (
     check_square,
     check_steer,
     check_times,
+    check_turns,
     expected,
+    in_space,
     of_sigma,
 )
 from service.wire.measurements import CartesianRows, Columns, EncounterColumns, ObservationColumns, RangeBearingRows
 from service.wire.rows import from_rows
+from service.wire.spatial import Cartesian3dRows, PinholeRows, StereoRows
 from submaps.config import Models, ObservationConfig
 from submaps.measurements import Batch, encounter
 
@@ -33,10 +37,17 @@ ROWS_TYPE = "application/json"
 COLUMNS_TYPE = "application/vnd.submaps.columns+json"
 
 _COLUMNS = TypeAdapter(Columns)
-_ROWS: dict[str, TypeAdapter[Any]] = {
-    "cartesian": TypeAdapter(CartesianRows),
-    "range_bearing": TypeAdapter(RangeBearingRows),
+# By observation model.
+ROWS: dict[str, type[Wire]] = {
+    "cartesian": CartesianRows,
+    "range_bearing": RangeBearingRows,
+    "bearing": BearingRows,
+    "cartesian3d": Cartesian3dRows,
+    "stereo": StereoRows,
+    "pinhole": PinholeRows,
 }
+_ROWS: dict[str, TypeAdapter[Any]] = {model: TypeAdapter(rows) for model, rows in ROWS.items()}
+NOT_IN_SPACE = "robots that see one another are of maps in se2; this one is in se3"
 _NO_INTS: Ints = np.empty(0, np.int64)
 
 
@@ -56,6 +67,8 @@ def decode(content_type: str, body: bytes, models: Models, robot: str) -> Decode
     """
 
     def hint(error: Mapping[str, Any]) -> str | None:
+        if error["loc"][-1:] == ("encounters",) and in_space(models):
+            return NOT_IN_SPACE
         inside = len(error["loc"]) > 1 and error["type"] in ("missing", "extra_forbidden")
         return expected(models) if inside else None
 
@@ -70,9 +83,12 @@ def from_columns(columns: Columns, models: Models, robot: str) -> Batch:
     """Return columns of ``robot`` as a batch; raises ``Problem`` (422)."""
     t = np.array(columns.t)
     control_step, control = _controls(columns, models, t.size)
-    covariance = _matrices("control_covariance", columns.control_covariance, 3, control_step.size)
-    if covariance is not None and models.motion.model != "odometry":
+    of_control = 6 if in_space(models) else 3
+    covariance = _matrices("control_covariance", columns.control_covariance, of_control, control_step.size)
+    if covariance is not None and models.motion.model not in ("odometry", "odometry3d"):
         raise invalid("control_covariance", f"only an odometry may carry one; {expected(models)}")
+    if columns.encounter is not None and in_space(models):
+        raise invalid("encounter", NOT_IN_SPACE)
     seen = _sightings(columns, models.observation, robot)
     batch = Batch(
         t=t,
@@ -95,12 +111,15 @@ def _controls(columns: Columns, models: Models, steps: int) -> tuple[Ints, Float
             if getattr(columns, name) is not None:
                 raise invalid(name, "given without control")
         return _NO_INTS, np.empty((len(motion.channels), 0))
+    if not motion.channels:
+        raise invalid("control", f"does not fit; {expected(models)}")
     if columns.control_step is None:
         step = np.arange(steps, dtype=np.int64)
     else:
         step = _steps("control_step", columns.control_step, steps, least_rise=1)
     control = _channels("control", columns.control, motion.channels, step.size)
     check_steer(motion, control, "control.1.{}".format)
+    check_turns(motion.model, control, "control.{}.{}".format)
     return step, control
 
 
@@ -121,7 +140,7 @@ def _sightings(columns: Columns, model: ObservationConfig, robot: str) -> _Sight
     seen, met = columns.observation, columns.encounter
     steps = len(columns.t)
     if seen is None:
-        landmarks = _Sightings(_NO_INTS, (), np.empty((2, 0)), None)
+        landmarks = _Sightings(_NO_INTS, (), np.empty((len(model.channels), 0)), None)
     else:
         landmarks = _checked("observation", seen, "landmark", seen.landmark, model, steps)
     if met is None:
@@ -144,7 +163,8 @@ def _checked(
     z = _channels(f"{where}.z", seen.z, model.channels, step.size)
     if model.model == "range_bearing" and min(seen.z[0], default=1.0) <= 0.0:
         check(z[0] > 0.0, lambda i: f"{where}.z.0.{i}", z[0], "a range above 0")
-    covariance = _matrices(f"{where}.covariance", seen.covariance, 2, step.size)
+    check_turns(model.model, z, lambda c, i: f"{where}.z.{c}.{i}")
+    covariance = _matrices(f"{where}.covariance", seen.covariance, len(model.channels), step.size)
     return _Sightings(step, tuple(names), z, covariance)
 
 

@@ -2,111 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, TypeAdapter
 
-from service.problems import invalid
-from service.wire.base import LARGEST, Name, Number, Wire
-from submaps.config import MapConfig, MotionConfig, ObservationConfig
-from submaps.errors import ConfigError
-
-Sigma = Annotated[float, Field(ge=0, le=LARGEST)]
-# Squares of anything smaller are lost beside the other numbers of a covariance.
-PositiveSigma = Annotated[float, Field(ge=1e-6, le=LARGEST)]
-Count = Annotated[int, Field(ge=1)]
+from service.wire.base import LARGEST, Name, Wire
+from service.wire.models import AnyMotion, Observation, motion_to_core, observation_to_core, refusals
+from submaps.config import MapConfig, SpaceName
 
 
-# m. The heading changes by its reciprocal.
-Wheelbase = Annotated[float, Field(ge=1e-3, le=LARGEST)]
-
-
-def _is_reading(noise: str) -> bool:
-    return noise == "reading"
-
-
-class Motion(Wire):
-    """What all motion models share."""
-
-    # Left out of answers where it says nothing: maps made before it came are answered as they were.
-    noise: Literal["reading", "density"] = Field(
-        "reading",
-        exclude_if=_is_reading,
-        description="sigma is that of one step's `reading`, or a `density` per root second: an increment's variance "
-        "is then sigma² dt, and an interval may be split",
-    )
-
-
-class OdometryMotion(Motion):
-    """Increments of the pose in the body frame."""
-
-    model: Literal["odometry"]
-    sigma: list[Sigma] = Field(
-        min_length=3, max_length=3, description="dx m, dy m, dtheta rad", examples=[[0.01, 0.002, 0.002]]
-    )
-
-
-class VelocityMotion(Motion):
-    """Forward and angular velocity, held for the step: an arc."""
-
-    model: Literal["velocity"]
-    sigma: list[Sigma] = Field(
-        min_length=2,
-        max_length=3,
-        description="v m/s, omega rad/s and, if the vehicle slips, lateral m/s",
-        examples=[[0.05, 0.01]],
-    )
-
-
-class BicycleMotion(Motion):
-    """Speed and steer of a front wheel, whose contact point is where the robot is.
-
-    x += s dt cos(psi + d), y += s dt sin(psi + d), psi += s dt sin(d) / wheelbase.
-    """
-
-    model: Literal["bicycle"]
-    sigma: list[Sigma] = Field(min_length=2, max_length=2, description="speed m/s, steer rad", examples=[[0.1, 0.02]])
-    wheelbase: Wheelbase = Field(description="m, from the rear wheel to the front wheel", examples=[1.0])
-
-
-class AckermannMotion(Motion):
-    """Speed of an encoder on a rear wheel and steer of the front; the robot is the middle of the rear axle.
-
-    v = speed / (1 - tan(steer) encoder_offset / wheelbase), omega = v tan(steer) / wheelbase, held
-    for the step: an arc.
-    """
-
-    model: Literal["ackermann"]
-    sigma: list[Sigma] = Field(
-        min_length=2,
-        max_length=3,
-        description="speed m/s, steer rad and, if the vehicle slips, lateral m/s",
-        examples=[[0.1, 0.02]],
-    )
-    wheelbase: Wheelbase = Field(description="m, from the rear axle to the front axle", examples=[2.83])
-    encoder_offset: Number = Field(
-        0.0,
-        description="m, from the middle of the rear axle to the encoder's wheel, above 0 to the left; "
-        "less than the wheelbase",
-        examples=[0.76],
-    )
-
-
-class Observation(Wire):
-    """A point landmark seen from the sensor."""
-
-    model: Literal["cartesian", "range_bearing"]
-    sigma: list[PositiveSigma] = Field(
-        min_length=2, max_length=2, description="m, m or m, rad", examples=[[0.6325, 0.6325]]
-    )
-    mount: list[Number] = Field(
-        default=[0.0, 0.0, 0.0],
-        min_length=3,
-        max_length=3,
-        description="the sensor's pose in the body frame: m, m, rad",
-    )
+def _is_plane(space: str) -> bool:
+    return space == "se2"
 
 
 class Association(Wire):
@@ -127,35 +33,6 @@ class Submap(Wire):
     min_observed_steps: Annotated[int, Field(ge=1, le=1_000_000)] = 5
 
 
-AnyMotion: TypeAlias = Annotated[
-    OdometryMotion | VelocityMotion | BicycleMotion | AckermannMotion, Field(discriminator="model")
-]
-
-
-def motion_to_core(motion: AnyMotion) -> MotionConfig:
-    """Return the estimator's motion model; raises ``Problem`` (422) where it refuses a value."""
-    wheelbase = motion.wheelbase if isinstance(motion, BicycleMotion | AckermannMotion) else None
-    offset = motion.encoder_offset if isinstance(motion, AckermannMotion) else 0.0
-    with refusals():
-        return MotionConfig(motion.model, tuple(motion.sigma), motion.noise, wheelbase, offset)
-
-
-def observation_to_core(observation: Observation) -> ObservationConfig:
-    """Return the estimator's observation model; raises ``Problem`` (422) where it refuses a value."""
-    x, y, theta = observation.mount
-    with refusals():
-        return ObservationConfig(observation.model, tuple(observation.sigma), (x, y, theta))
-
-
-@contextmanager
-def refusals() -> Iterator[None]:
-    """Turn what the estimator refuses into a ``Problem`` (422)."""
-    try:
-        yield
-    except ConfigError as error:
-        raise invalid(error.field, f"got {error.got!r}, expected {error.expected}") from error
-
-
 EXAMPLE: dict[str, Any] = {
     "motion": {"model": "odometry", "sigma": [0.01, 0.002, 0.002]},
     "observation": {"model": "cartesian", "sigma": [0.6325, 0.6325], "mount": [0, 0, 0]},
@@ -165,11 +42,27 @@ EXAMPLE: dict[str, Any] = {
 }
 
 
+SPATIAL_EXAMPLE: dict[str, Any] = {
+    "space": "se3",
+    "motion": {"model": "odometry3d", "sigma": [0.01, 0.01, 0.01, 0.002, 0.002, 0.002]},
+    "observation": {
+        "model": "stereo", "sigma": [1.0, 1.0, 1.0, 1.0], "mount": [0.1, 0.0, 0.3, -0.5, 0.5, -0.5, 0.5],
+        "camera": {"fu": 484.5, "fv": 484.5, "cu": 321.7, "cv": 247.5, "baseline": 0.24},
+    },
+}  # fmt: skip
+
+
 class Config(Wire):
     """What a map estimates with; fixed for its life."""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [EXAMPLE]})
+    model_config = ConfigDict(json_schema_extra={"examples": [EXAMPLE, {**EXAMPLE, **SPATIAL_EXAMPLE}]})
 
+    # Left out of answers where it says nothing, as `noise` is.
+    space: SpaceName = Field(
+        "se2",
+        exclude_if=_is_plane,
+        description="`se2`: a map of the plane; `se3`: of space. Left out of answers for `se2`",
+    )
     motion: AnyMotion
     observation: Observation
     filter: Literal["invariant", "standard"] = "invariant"
@@ -192,13 +85,16 @@ class Config(Wire):
                 max_heading_sigma=self.submap.max_heading_sigma,
                 max_position_sigma=self.submap.max_position_sigma,
                 min_observed_steps=self.submap.min_observed_steps,
+                space=self.space,
             )
 
 
 class MapRequest(Config):
     """A map to be made; without an id, one is generated."""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"id": "park", **EXAMPLE}]})
+    model_config = ConfigDict(
+        json_schema_extra={"examples": [{"id": "park", **EXAMPLE}, {"id": "room", **SPATIAL_EXAMPLE}]}
+    )
 
     id: Name | None = None
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import ConfigDict, Field
 
+from service.wire.answers import Pose, SpatialPose
 from service.wire.base import (
     FAIL_FAST,
     Indices,
@@ -56,10 +57,6 @@ class Ackermann(Wheel):
     """
 
 
-# The fields of a step that hold a control, one for each motion model.
-CONTROLS = ("odometry", "velocity", "bicycle", "ackermann")
-
-
 class CartesianPoint(Wire):
     """A point in the sensor's frame."""
 
@@ -100,11 +97,14 @@ class RangeBearingEncounter(RangeBearingPoint):
     robot: Name = Field(description="its name on this map", examples=["r2"])
 
 
-_MET = "other robots of this map that were seen; the robots' clocks have to agree"
+MET = "other robots of this map that were seen; the robots' clocks have to agree"
 
 
 class Step(Wire):
     """One moment: the control that led to it, if any, and what was seen at it."""
+
+    # The fields that hold a control, one for each motion model.
+    CONTROLS: ClassVar[tuple[str, ...]] = ("odometry", "velocity", "bicycle", "ackermann")
 
     t: Seconds
     odometry: Odometry | None = None
@@ -117,14 +117,14 @@ class CartesianStep(Step):
     """A step of a robot whose observations are cartesian."""
 
     observations: Annotated[list[CartesianObservation], FAIL_FAST] = Field(default_factory=list)
-    encounters: Annotated[list[CartesianEncounter], FAIL_FAST] = Field(default_factory=list, description=_MET)
+    encounters: Annotated[list[CartesianEncounter], FAIL_FAST] = Field(default_factory=list, description=MET)
 
 
 class RangeBearingStep(Step):
     """A step of a robot whose observations are range and bearing."""
 
     observations: Annotated[list[RangeBearingObservation], FAIL_FAST] = Field(default_factory=list)
-    encounters: Annotated[list[RangeBearingEncounter], FAIL_FAST] = Field(default_factory=list, description=_MET)
+    encounters: Annotated[list[RangeBearingEncounter], FAIL_FAST] = Field(default_factory=list, description=MET)
 
 
 ROWS_EXAMPLE: dict[str, Any] = {
@@ -179,17 +179,24 @@ class ObservationColumns(Wire):
 
     step: Indices = Field(description="the step of each observation, counted from 0; does not fall")
     landmark: Annotated[list[LandmarkId], FAIL_FAST]
-    z: Matrix = Field(description="one list a channel: x and y, or range and bearing")
-    covariance: Matrices | None = Field(None, description="2x2 for each observation, in place of the robot's sigma")
+    z: Matrix = Field(description="one list a channel of the observation model, in the order of its rows' fields")
+    covariance: Matrices | None = Field(
+        None, description="for each observation, channels x channels, in place of the robot's sigma"
+    )
 
 
 class EncounterColumns(Wire):
-    """Other robots of this map that were seen, in the order of the steps; the robots' clocks have to agree."""
+    """Other robots of this map that were seen, in the order of the steps; the robots' clocks have to agree.
+
+    Only in a map in se2.
+    """
 
     step: Indices = Field(description="the step of each encounter, counted from 0; does not fall")
     robot: Annotated[list[Name], FAIL_FAST] = Field(description="the other robots' names")
-    z: Matrix = Field(description="one list a channel: x and y, or range and bearing, of the other robot's origin")
-    covariance: Matrices | None = Field(None, description="2x2 for each encounter, in place of the robot's sigma")
+    z: Matrix = Field(description="one list a channel of the observation model, of the other robot's origin")
+    covariance: Matrices | None = Field(
+        None, description="for each encounter, channels x channels, in place of the robot's sigma"
+    )
 
 
 class Columns(Wire):
@@ -199,10 +206,14 @@ class Columns(Wire):
 
     sequence: Sequence
     t: Annotated[list[Seconds], FAIL_FAST] = Field(min_length=1, description=Steps)
-    control: Matrix | None = Field(None, description="one list a channel: dx, dy, dtheta; v, omega; or speed, steer")
+    control: Matrix | None = Field(
+        None,
+        description="one list a channel of the motion model: dx, dy, dtheta; v, omega; speed, steer; or dx, dy, dz, "
+        "rx, ry, rz",
+    )
     control_step: Indices | None = Field(None, description="the steps that have a control, if not all do")
     control_covariance: Matrices | None = Field(
-        None, description="3x3 for each odometry, in place of the robot's sigma"
+        None, description="3x3 for each odometry, 6x6 for each odometry3d, in place of the robot's sigma"
     )
     observation: ObservationColumns | None = None
     encounter: EncounterColumns | None = None
@@ -222,14 +233,18 @@ class Rejected(Wire):
     nis: float | None = Field(description="normalised innovation squared, where one could be formed")
 
 
-class RobotPose(Wire):
+class RobotPose(Pose):
     """Where the robot is after a batch, in its sub-map."""
 
     frame: str = Field(examples=["submap/3"])
     t: float
-    x: float
-    y: float
-    theta: float
+
+
+class SpatialRobotPose(SpatialPose):
+    """Where the robot is after a batch, in its sub-map, in a map in se3."""
+
+    frame: str = Field(examples=["submap/3"])
+    t: float
 
 
 class Acknowledgement(Wire):
@@ -261,4 +276,4 @@ class Acknowledgement(Wire):
     submap: int
     map_version: int
     duplicate: bool = Field(description="this batch had been acknowledged before")
-    pose: RobotPose
+    pose: RobotPose | SpatialRobotPose

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from service.problems import invalid
+from service.wire.bearing import BearingRows, BearingStep
 from service.wire.checks import (
     Floats,
     Ints,
@@ -21,34 +22,28 @@ from service.wire.checks import (
     expected,
     of_sigma,
 )
-from service.wire.measurements import (
-    CONTROLS,
-    CartesianPoint,
-    CartesianRows,
-    CartesianStep,
-    Odometry,
-    RangeBearingPoint,
-    RangeBearingRows,
-    RangeBearingStep,
-)
+from service.wire.measurements import CartesianRows, CartesianStep, Odometry, RangeBearingRows, RangeBearingStep
+from service.wire.spatial import Cartesian3dStep, Odometry3d, PinholeStep, SpatialRows, StereoStep
 from submaps.config import Models
 from submaps.measurements import Batch, encounter
 
-Step: TypeAlias = CartesianStep | RangeBearingStep
+Rows: TypeAlias = CartesianRows | RangeBearingRows | BearingRows | SpatialRows
+PlanarStep: TypeAlias = CartesianStep | RangeBearingStep | BearingStep
+Step: TypeAlias = PlanarStep | Cartesian3dStep | StereoStep | PinholeStep
 Matrix = list[list[float]]
 
 
-def from_rows(rows: CartesianRows | RangeBearingRows, models: Models, robot: str) -> Batch:
+def from_rows(rows: Rows, models: Models, robot: str) -> Batch:
     """Return rows of ``robot`` as a batch; raises ``Problem`` (422)."""
     steps: list[Step] = [*rows.steps]
     control_step, control, control_covariance = _controls(steps, models)
-    seen: list[CartesianPoint | RangeBearingPoint] = []
+    seen: list[Any] = []
     names: list[str] = []
     step: list[int] = []
     for index, one in enumerate(steps):
         seen += one.observations
         names += [o.landmark for o in one.observations]
-        if one.encounters:
+        if isinstance(one, PlanarStep) and one.encounters:
             met = [e.robot for e in one.encounters]
             check_others(robot, met, lambda i, k=index: f"steps.{k}.encounters.{i}.robot")  # type: ignore[misc]
             seen += one.encounters
@@ -63,7 +58,7 @@ def from_rows(rows: CartesianRows | RangeBearingRows, models: Models, robot: str
         control_covariance=control_covariance,
         observation_step=np.array(step, dtype=np.int64),
         landmark=tuple(names),
-        z=np.array(channels, dtype=np.float64).reshape(2, len(seen)),
+        z=np.array(channels, dtype=np.float64).reshape(len(channels), len(seen)),
         observation_covariance=_filled(given, models.observation.sigma, _covariance_path(steps, step)),
     )
     check_times(batch, "steps.{}.t".format)
@@ -81,14 +76,16 @@ def _covariance_path(steps: Sequence[Step], step: list[int]) -> PathOf:
 
 def _controls(steps: Sequence[Step], models: Models) -> tuple[Ints, Floats, Floats | None]:
     motion = models.motion
-    others = [name for name in CONTROLS if name != motion.model]
+    # In space an odometry is called what it is in the plane; a robot without a motion model has no field at all.
+    own = {"odometry3d": "odometry", "none": None}.get(motion.model, motion.model)
+    others = [name for name in steps[0].CONTROLS if name != own]
     where: list[int] = []
     controls: list[Any] = []
     for index, step in enumerate(steps):
         for other in others:
             if getattr(step, other) is not None:
                 raise invalid(f"steps.{index}.{other}", f"does not fit; {expected(models)}")
-        control = getattr(step, motion.model)
+        control = None if own is None else getattr(step, own)
         if control is not None:
             where.append(index)
             controls.append(control)
@@ -96,11 +93,11 @@ def _controls(steps: Sequence[Step], models: Models) -> tuple[Ints, Floats, Floa
     values = values.reshape(len(motion.channels), len(where))
     check_steer(motion, values, lambda i: f"steps.{where[i]}.{motion.model}.steer")
     covariance = None
-    if motion.model == "odometry":
-        given = [c.covariance for c in controls if isinstance(c, Odometry)]
+    if own == "odometry":
+        given = [c.covariance for c in controls if isinstance(c, Odometry | Odometry3d)]
         # That of a density depends on the interval, of which a batch knows all but the first: NaN
         # stands for it, and the model fills it in.
-        sigma = motion.sigma if motion.noise == "reading" else (np.nan,) * 3
+        sigma = motion.sigma if motion.noise == "reading" else (np.nan,) * len(motion.sigma)
         covariance = _filled(given, sigma, lambda i: f"steps.{where[i]}.odometry.covariance")
     return np.array(where, dtype=np.int64), values, covariance
 

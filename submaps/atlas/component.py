@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
-from submaps.atlas.factors import factor, normal_equations, residual
-from submaps.atlas.placed import Placed, as_pose, rotation
+from submaps.atlas.coordinates import retract
+from submaps.atlas.factors import factor, normal_equations, residual, rows_of
+from submaps.atlas.placed import Placed
 from submaps.atlas.sparse import InverseSubset, Pattern, scatter
-from submaps.geometry.se2 import Pose, compose, transform
+from submaps.geometry.space import Key, Pose, Space
 from submaps.submap import Submap
 
 Floats = NDArray[np.float64]
@@ -30,7 +31,7 @@ Part = tuple[Submap, Ints, Floats, Floats]
 class Link:
     """What a robot's start says: the frame of its first sub-map, in that of another (``None``: the root).
 
-    ``information`` (3, 3) is of the error that factors speak of (see ``atlas.factors``).
+    ``information`` (pose, pose) is of the error that factors speak of (see ``atlas.factors``).
     """
 
     frame: int | None
@@ -39,36 +40,38 @@ class Link:
     information: Floats
 
 
-@jit(
-    "float64(int64, int64, boolean, int64[::1], int64[::1], int64[::1], int64[::1], float64[::1], float64[::1],"
-    "float64[:, ::1], float64[:, ::1], int64[::1], int64[::1], int64[::1], int64[::1], int32[::1],"
-    "float64[::1], float64[::1])",
-    unlocked=True,
+_ASSEMBLE = (
+    "float64(UniTuple(int64, {}), int64, int64, boolean, int64[::1], int64[::1], int64[::1], int64[::1], float64[::1],"
+    "float64[::1], float64[:, ::1], float64[:, ::1], int64[::1], int64[::1], int64[::1], int64[::1], int32[::1],"
+    "float64[::1], float64[::1])"
 )
+
+
+@jit(_ASSEMBLE.format(2), _ASSEMBLE.format(3), unlocked=True)
 def _assemble(
-    first: int, last: int, invariant: bool, variable_at: Ints, variables: Ints, estimate_at: Ints,
+    space: Key, first: int, last: int, invariant: bool, variable_at: Ints, variables: Ints, estimate_at: Ints,
     information_at: Ints, estimates: Floats, informations: Floats, frames: Floats, points: Floats,
     begins: Ints, rows: Ints, within: Ints, start: Ints, pointers: NDArray[np.int32],
     data: Floats, gradient: Floats,
 ) -> float:  # fmt: skip
     """Add factors ``first`` .. ``last`` - 1 at the given values to the normal equations; their cost."""
     cost = 0.0
-    poses = frames.shape[0] - 1
+    poses, dim, pose = frames.shape[0] - 1, points.shape[1], frames.shape[1]
     for f in range(first, last):
         own = variables[variable_at[f] : variable_at[f + 1]]
         estimate = estimates[estimate_at[f] : estimate_at[f + 1]]
         d = estimate.shape[0]
         information = informations[information_at[f] : information_at[f + 1]].reshape(d, d)
-        seen = np.empty((own.shape[0] - 2, 2))
+        seen = np.empty((own.shape[0] - 2, dim))
         for i in range(seen.shape[0]):
-            seen[i, 0] = points[own[i + 2] - poses, 0]
-            seen[i, 1] = points[own[i + 2] - poses, 1]
+            for a in range(dim):
+                seen[i, a] = points[own[i + 2] - poses, a]
         xi = np.empty(d)
-        J = np.empty((d, 8))
-        residual(invariant, estimate, frames[own[0] + 1], frames[own[1] + 1], seen, xi, J)
-        H = np.empty((d + 3, d + 3))
-        g = np.empty(d + 3)
-        cost += normal_equations(information, xi, J, H, g)
+        J = np.empty((d, 2 * pose + dim))
+        residual(space, invariant, estimate, frames[own[0] + 1], frames[own[1] + 1], seen, xi, J)
+        H = np.empty((d + pose, d + pose))
+        g = np.empty(d + pose)
+        cost += normal_equations(space, information, xi, J, H, g)
         scatter(own, H, g, begins, rows, within, start, pointers, data, gradient)
     return cost
 
@@ -88,6 +91,7 @@ class Component:
         known: Mapping[int, Part],
     ) -> None:  # fmt: skip
         self.members = members
+        self.space = members[0].space
         self.numbers = np.array([s.number for s in members], dtype=np.int64)
         self.invariant = members[0].invariant
         self.links = {link.first: link for link in links}
@@ -95,8 +99,8 @@ class Component:
         self._find_shared(total, untied)
         self.parts = [self._part(f, known.get(s.number)) for f, s in enumerate(members)]
         self._flatten()
-        self.frames = np.zeros((self.poses + 1, 3))
-        self.points = np.full((len(self.landmarks), 2), np.nan)
+        self.frames = np.zeros((self.poses + 1, self.space.pose))
+        self.points = np.full((len(self.landmarks), self.space.dim), np.nan)
 
     def _index_frames(self) -> None:
         """Rows of ``frames`` for each member's frame and end: row 0 is the root."""
@@ -134,12 +138,7 @@ class Component:
         submap, shared = self.members[f], self._shared_of(f)
         if known is not None and known[0] is submap and np.array_equal(known[1], shared):
             return known
-        slots = submap.slots()
-        rows = np.empty(3 + 2 * shared.shape[0], dtype=np.int64)
-        rows[:3] = (0, 1, 2)
-        rows[3::2] = [slots[i] for i in shared.tolist()]
-        rows[4::2] = rows[3::2] + 1
-        return (submap, shared, *factor(submap, rows))
+        return (submap, shared, *factor(submap, rows_of(submap, shared.tolist())))
 
     def _flatten(self) -> None:
         """Lay the factors out for the compiled assembly: each member's, its link's before it."""
@@ -165,7 +164,7 @@ class Component:
         self._information_at = _offsets([i.size for i in informations])
         # One copy of each: the parts are looked up in what the assembly reads.
         self.parts = [self._laid_out(part, self._upto[f] - 1) for f, part in enumerate(self.parts)]
-        widths = np.repeat([3, 2], [self.poses, len(self.landmarks)]).astype(np.int64)
+        widths = np.repeat([self.space.pose, self.space.dim], [self.poses, len(self.landmarks)]).astype(np.int64)
         self.pattern = Pattern(widths, self._variable_at, self._variables)
 
     def _laid_out(self, part: Part, factor_: int) -> Part:
@@ -247,9 +246,9 @@ class Component:
         gradient[:] = 0.0
         p = self.pattern
         cost: float = _assemble(
-            0, self._upto[members - 1], self.invariant, self._variable_at, self._variables, self._estimate_at,
-            self._information_at, self._estimates, self._informations, self.frames, self.points, p.begins, p.rows,
-            p.within, p.start, p.pointers, data, gradient,
+            self.space.key, 0, self._upto[members - 1], self.invariant, self._variable_at, self._variables,
+            self._estimate_at, self._information_at, self._estimates, self._informations, self.frames, self.points,
+            p.begins, p.rows, p.within, p.start, p.pointers, data, gradient,
         )  # fmt: skip
         unreached = p.diagonal[data[p.diagonal] == 0.0]
         data[unreached] = 1.0
@@ -264,35 +263,37 @@ class Component:
 
     def place(self, f: int) -> None:
         """First values of what member f reaches and none before it did: its end, its new landmarks."""
-        submap = self.members[f]
+        submap, space = self.members[f], self.space
         link = self.links.get(submap.number)
         if link is not None and np.isnan(self.frames[self.frame_at[f], 0]):
-            self.frames[self.frame_at[f]] = compose(as_pose(self.frames[self._link_from(link)]), link.pose)
-        frame = as_pose(self.frames[self.frame_at[f]])
+            origin = space.as_pose(self.frames[self._link_from(link)])
+            self.frames[self.frame_at[f]] = space.compose(origin, link.pose)
+        frame = space.as_pose(self.frames[self.frame_at[f]])
         if np.isnan(self.frames[self.end_at[f], 0]):
-            self.frames[self.end_at[f]] = compose(frame, submap.pose)
-        rows = self.point_rows(f)
-        for i, estimate in zip(rows.tolist(), self.parts[f][2][3:].reshape(-1, 2).tolist(), strict=True):
-            if np.isnan(self.points[i, 0]):
-                self.points[i] = transform(frame, estimate[0], estimate[1])
+            self.frames[self.end_at[f]] = space.compose(frame, submap.pose)
+        rows, estimates = self.point_rows(f), self.parts[f][2][space.pose :].reshape(-1, space.dim)
+        new = np.isnan(self.points[rows, 0])
+        if new.any():
+            self.points[rows[new]] = space.transform(frame, estimates[new])
 
     def placed(self, number: int, inverse: InverseSubset) -> Placed:
         """A member at the present values, with the joint covariance of its variables."""
         f = self.at(number)
         rows = self.point_rows(f)
         variables = np.concatenate([[self.frame_at[f] - 1, self.end_at[f] - 1], self.poses + rows])
-        fixed = 3 if variables[0] == FIXED else 0
-        size = 6 + 2 * rows.shape[0]
+        space = self.space
+        fixed = space.pose if variables[0] == FIXED else 0
+        size = 2 * space.pose + space.dim * rows.shape[0]
         covariance = np.zeros((size, size))
         covariance[fixed:, fixed:] = inverse.joint(variables[variables != FIXED])
-        frame, end = as_pose(self.frames[self.frame_at[f]]), as_pose(self.frames[self.end_at[f]])
-        return Placed(self.members[f], frame, end, self.shared(f), self.points[rows].reshape(-1, 2), covariance)
+        frame, end = (space.as_pose(self.frames[at[f]]) for at in (self.frame_at, self.end_at))
+        return Placed(self.members[f], frame, end, self.shared(f), self.points[rows], covariance)
 
     def take(self, other: Component, T: Pose) -> None:
         """Take over another component's values, moved by ``T``, for what both have."""
         mine = np.searchsorted(self.numbers, other.numbers)
-        self.frames[self.frame_at[mine]] = moved(T, other.frames[other.frame_at])
-        self.frames[self.end_at[mine]] = moved(T, other.frames[other.end_at])
+        self.frames[self.frame_at[mine]] = _moved(self.space, T, other.frames[other.frame_at])
+        self.frames[self.end_at[mine]] = _moved(self.space, T, other.frames[other.end_at])
         self.frames[0] = 0.0
         self.take_points(other, T)
         for f in self.unplaced():
@@ -302,22 +303,19 @@ class Component:
         """Take over another component's landmarks, moved by ``T``, where this one has none yet."""
         _, mine, theirs = np.intersect1d(self.landmarks, other.landmarks, return_indices=True)
         missing = np.isnan(self.points[mine, 0])
-        at = other.points[theirs[missing]]
-        self.points[mine[missing]] = moved(T, np.column_stack([at, np.zeros(at.shape[0])]))[:, :2]
+        self.points[mine[missing]] = self.space.transform(T, other.points[theirs[missing]])
 
     def move(self, step: Floats) -> None:
         """Add an increment of all variables to their values."""
-        poses = 3 * self.poses
-        self.frames[1:] += step[:poses].reshape(-1, 3)
-        self.frames[:, 2] = np.remainder(self.frames[:, 2] + np.pi, 2.0 * np.pi) - np.pi
-        self.points += step[poses:].reshape(-1, 2)
+        space = self.space
+        poses = space.pose * self.poses
+        retract(space.key, self.frames[1:], np.ascontiguousarray(step[:poses].reshape(-1, space.pose)))
+        self.points += step[poses:].reshape(-1, space.dim)
 
 
-def moved(T: Pose, poses: Floats) -> Floats:
-    """T composed with each pose (n, 3)."""
-    R = rotation(T[2])
-    heading = np.remainder(poses[:, 2] + T[2] + np.pi, 2.0 * np.pi) - np.pi
-    return np.column_stack([poses[:, :2] @ R.T + T[:2], heading])
+def _moved(space: Space, T: Pose, poses: Floats) -> Floats:
+    """T composed with each pose (n, pose)."""
+    return np.array([space.compose(T, space.as_pose(pose)) for pose in poses]).reshape(poses.shape)
 
 
 def _offsets(lengths: Sequence[int] | Ints) -> Ints:

@@ -1,8 +1,8 @@
 """The graph of relative transforms between sub-maps, and the surest path through it.
 
 An ``exit`` edge is a sub-map's end pose, where the next began. A ``tie`` joins two sub-maps of one
-component that hold two or more landmarks in common, by weighted least squares. A ``start`` is where
-a robot's first sub-map lies as its operator said. The transform between any two sub-maps
+component that hold two or more landmarks in common, in space three, by weighted least squares. A
+``start`` is where a robot's first sub-map lies as its operator said. The transform between any two sub-maps
 composes along the path that a uniform-cost search finds, its cost the determinant of the composed
 covariance (Bosse, Newman, Leonard, Teller, IJRR 23(12), 2004).
 """
@@ -20,24 +20,27 @@ import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
-from submaps.atlas.placed import additive_covariance, as_pose
+from submaps.atlas.placed import additive_covariance
 from submaps.atlas.state import AtlasState, submap_of
 from submaps.atlas.tie import fit
 from submaps.config import Start
 from submaps.errors import NotConnected
-from submaps.geometry.se2 import ORIGIN, Pose, compose, compose_covariance, inverse, inverse_covariance
+from submaps.geometry.space import Pose, Space
 from submaps.submap import Submap
 
 Floats = NDArray[np.float64]
 Kind = Literal["exit", "tie", "start"]
 Pair = tuple[Kind, int, int]
-# Lets a path of edges without variance still cost something for each edge: (1e-4 m)^4 (1e-5 rad)^2.
-_FLOOR = np.diag([1e-8, 1e-8, 1e-10])
+# Lets a path of edges without variance still cost something for each edge: (1e-4 m)² and (1e-5 rad)² an axis.
+_FLOOR_POSITION, _FLOOR_ROTATION = 1e-8, 1e-10
+# In space a rotation about some axis that is less sure than this (rad) is taken to be unknown: three landmarks
+# all but on a line, whose scatter about it looks like a lever. In the plane two at one place leave no lever at all.
+_SURE_ROTATION = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
 class Edge:
-    """T_a_b (x m, y m, theta rad) of two sub-maps and the (3, 3) covariance of its additive errors."""
+    """T_a_b of two sub-maps and the (pose, pose) covariance of its additive errors (see ``geometry.space``)."""
 
     kind: Kind
     a: int
@@ -51,15 +54,22 @@ def origin_of(state: AtlasState, start: Start) -> int:
     return submap_of(start.frame) or 0
 
 
-def _turning_freely(a: Floats, b: Floats, C: Floats) -> tuple[Floats, Floats]:
-    """T_a_b of sub-maps whose common landmarks all lie at one place: a heading anywhere, of variance pi^2/3.
+def _turning_freely(space: Space, a: Floats, b: Floats, C: Floats) -> tuple[Floats, Floats]:
+    """T_a_b of sub-maps whose common landmarks all lie at one place, or on a line: any rotation, variance pi^2/3.
 
     A robot that stands still while another sees it twice is such a place.
     """
-    covariance = np.zeros((3, 3))
-    covariance[2, 2] = np.pi**2 / 3.0
-    covariance[:2, :2] = C + float(b @ b) * covariance[2, 2] * np.eye(2)
-    return np.array([*(a - b), 0.0]), covariance
+    dim, free = space.dim, np.pi**2 / 3.0
+    covariance = np.zeros((space.pose, space.pose))
+    covariance[dim:, dim:] = free * np.eye(space.rot)
+    covariance[:dim, :dim] = C + float(b @ b) * free * np.eye(dim)
+    return np.concatenate([a - b, np.zeros(space.rot)]), covariance
+
+
+def _is_sure(space: Space, covariance: Floats) -> bool:
+    """Whether landmarks determine a rotation about every axis."""
+    turned = covariance[space.dim :, space.dim :]
+    return space.dim == 2 or float(np.linalg.eigvalsh(turned)[-1]) < _SURE_ROTATION**2
 
 
 class Graph:
@@ -103,14 +113,14 @@ class Graph:
         return found + [("tie", k, number) for k in self._tied(number) if k < number]
 
     def _tied(self, number: int) -> list[int]:
-        """Sub-maps of the same component that hold at least two landmarks in common with this one."""
+        """Sub-maps of the same component that hold landmarks enough in common with this one."""
         state = self._state
         submap = state.submap(number)
         held = [i for i in submap.landmarks.tolist() if (number, i) not in self._untied]
         common = Counter(chain.from_iterable(map(state.submaps_with, held)))
         common.subtract(k for k, i in self._untied if i in held)
         root = state.roots[submap.robot]
-        several = (k for k, n in common.items() if n >= 2 and k != number)
+        several = (k for k, n in common.items() if n >= state.space.dim and k != number)
         return sorted(k for k in several if state.roots[state.submap(k).robot] == root)
 
     def neighbours(self, number: int) -> list[Pair]:
@@ -146,21 +156,24 @@ class Graph:
         untied = self._untied
         common = [i for i in in_first if i in in_second and not {(first.number, i), (second.number, i)} & untied]
         slots_a, slots_b = [in_first[i] for i in common], [in_second[i] for i in common]
-        A = np.array([first.mean[k : k + 2] for k in slots_a])
-        B = np.array([second.mean[k : k + 2] for k in slots_b])
-        T, covariance = np.empty(3), np.empty((3, 3))
+        space = first.space
+        dim, pose = space.dim, space.pose
+        A = np.array([first.mean[k : k + dim] for k in slots_a])
+        B = np.array([second.mean[k : k + dim] for k in slots_b])
+        T, covariance = np.empty(pose), np.empty((pose, pose))
         cov_a, cov_b = additive_covariance(first, slots_a), additive_covariance(second, slots_b)
-        if not fit(A, B, cov_a, cov_b, T, covariance):
-            T, covariance = _turning_freely(A[0], B[0], cov_a[:2, :2] + cov_b[:2, :2])
-        return Edge("tie", first.number, second.number, as_pose(T), covariance)
+        if not (fit(space.key, A, B, cov_a, cov_b, T, covariance) and _is_sure(space, covariance)):
+            T, covariance = _turning_freely(space, A[0], B[0], cov_a[:dim, :dim] + cov_b[:dim, :dim])
+        return Edge("tie", first.number, second.number, space.as_pose(T), covariance)
 
     def _start(self, first: Submap, second: Submap) -> Edge:
         start, base = self._state.fleet[second.robot].start, self._state.fleet[0].start
         assert start is not None
+        space = first.space
         T, covariance = start.pose, np.array(start.covariance)
         if base is not None and start.frame == "map":  # the first sub-map is not where `map` is
-            back, own = inverse(base.pose), inverse_covariance(base.pose, np.array(base.covariance))
-            T, covariance = compose(back, T), compose_covariance(back, own, T, covariance)
+            back, own = space.inverse(base.pose), space.inverse_covariance(base.pose, np.array(base.covariance))
+            T, covariance = space.compose(back, T), space.compose_covariance(back, own, T, covariance)
         return Edge("start", first.number, second.number, T, covariance)
 
     def path(self, source: int, target: int) -> tuple[Pose, Floats, list[int]]:
@@ -170,9 +183,10 @@ class Graph:
         """
         self._state.submap(source)
         self._state.submap(target)
-        order = itertools.count()
+        order, space = itertools.count(), self._state.space
+        floor = np.diag([_FLOOR_POSITION] * space.dim + [_FLOOR_ROTATION] * space.rot)
         queue: list[tuple[float, int, int, Pose, Floats, list[int]]] = [
-            (0.0, next(order), source, ORIGIN, np.zeros((3, 3)), [source])
+            (0.0, next(order), source, space.origin, np.zeros_like(floor), [source])
         ]
         done: set[int] = set()
         while queue:
@@ -189,10 +203,10 @@ class Graph:
                 edge = self.edge(kind, a, b)
                 step, own = edge.transform, edge.covariance
                 if a != at:
-                    step, own = inverse(step), inverse_covariance(step, own)
-                grown = compose_covariance(T, covariance, step, own)
-                cost = float(np.linalg.det(grown + len(path) * _FLOOR))
-                heapq.heappush(queue, (cost, next(order), other, compose(T, step), grown, [*path, other]))
+                    step, own = space.inverse(step), space.inverse_covariance(step, own)
+                grown = space.compose_covariance(T, covariance, step, own)
+                cost = float(np.linalg.det(grown + len(path) * floor))
+                heapq.heappush(queue, (cost, next(order), other, space.compose(T, step), grown, [*path, other]))
         raise NotConnected(f"no path of ties leads from submap/{source} to submap/{target}")
 
     def as_networkx(self) -> nx.MultiGraph[int]:

@@ -24,7 +24,6 @@ from submaps.atlas.sparse import Factorisation
 from submaps.atlas.state import AtlasState
 from submaps.consistency import chi_square_bound
 from submaps.errors import NumericalError
-from submaps.geometry.se2 import ORIGIN
 
 Floats = NDArray[np.float64]
 
@@ -111,15 +110,16 @@ def join(state: AtlasState) -> Solution:
 
 def _collect(components: Components, solvers: dict[int, _Solver], roots: list[int], iterations: int) -> Solution:
     state = components.state
-    frames = np.full((state.submap_count, 3), np.nan)
-    ends = np.full((len(state.robots), 3), np.nan)
+    space = state.space
+    frames = np.full((state.submap_count, space.pose), np.nan)
+    ends = np.full((len(state.robots), space.pose), np.nan)
     parts = {root: solver.component for root, solver in sorted(solvers.items())}
     for part in parts.values():
         frames[part.numbers] = part.frames[part.frame_at]
         for f, submap in enumerate(part.members):
             if submap.active:
                 ends[submap.robot] = part.frames[part.end_at[f]]
-    landmarks = np.concatenate([*(c.points for c in parts.values()), np.empty((0, 2))])
+    landmarks = np.concatenate([*(c.points for c in parts.values()), np.empty((0, space.dim))])
     cost = sum(solver.cost for solver in solvers.values())
     base = replace(state, solution=None)
     return Solution(base, frames, ends, landmarks, iterations, cost, roots, components.untied, parts)
@@ -155,32 +155,32 @@ def _start(component: Component, last: Solution | None) -> int:
     placed = int(np.searchsorted(component.numbers, last.base.submap_count))
     component.frames[component.frame_at[:placed]] = last.frames[component.numbers[:placed]]
     if placed:  # the component was one before, if a smaller one
-        component.take_points(last.component(last.root(int(component.numbers[0]))), ORIGIN)
+        component.take_points(last.component(last.root(int(component.numbers[0]))), component.space.origin)
     return sum(not last.base.submap(int(number)).active for number in component.numbers[:placed])
 
 
-def _met(solvers: dict[int, _Solver]) -> list[tuple[int, int]]:
-    """Pairs of roots whose components hold at least two landmarks in common."""
+def _met(solvers: dict[int, _Solver], least: int) -> list[tuple[int, int]]:
+    """Pairs of roots whose components hold at least so many landmarks in common."""
     roots_of: dict[int, list[int]] = {}
     for root in sorted(solvers):
         for landmark in solvers[root].component.landmarks:
             roots_of.setdefault(landmark, []).append(root)
     common = Counter(pair for roots in roots_of.values() for pair in combinations(roots, 2))
-    return sorted(pair for pair, count in common.items() if count >= 2)
+    return sorted(pair for pair, count in common.items() if count >= least)
 
 
 def _meet(
     components: Components, solvers: dict[int, _Solver], roots: list[int]
 ) -> tuple[Components, list[int], int] | None:
     """Make one of the first two components that have met; ``None`` where none have."""
-    for a, b in _met(solvers):
+    for a, b in _met(solvers, components.state.space.dim):
         mine, theirs = solvers[a], solvers[b]
         met = meeting.meet(mine.component, theirs.component, components.state.config.gate)
         if met is None:
             continue
         merged = components.without(components.untied | met.untied)
         joint = merged.of(r for r, root in enumerate(roots) if root in (a, b))
-        joint.take(mine.component, ORIGIN)
+        joint.take(mine.component, joint.space.origin)
         joint.take(theirs.component, met.transform)
         solver = _Solver.of(joint)
         solver.converge(_SETTLED_M)
@@ -193,7 +193,7 @@ def _meet(
 
 def _check_ties(components: Components, solvers: dict[int, _Solver], roots: list[int]) -> tuple[Components, int]:
     """Take ties back, or give them, until all that are new agree with the map."""
-    bound = chi_square_bound(components.state.config.gate or 1.0, 2)
+    bound = chi_square_bound(components.state.config.gate or 1.0, components.state.space.dim)
     iterations, before = 0, components.untied
     for root, robots in by_root(roots).items():
         second_chance = True
@@ -207,7 +207,7 @@ def _check_ties(components: Components, solvers: dict[int, _Solver], roots: list
                 break
             components = components.without(untied)
             again = components.of(robots)
-            again.take(component, ORIGIN)
+            again.take(component, again.space.origin)
             solvers[root] = _Solver.of(again)
             solvers[root].converge(_SETTLED_M)
             iterations += solvers[root].iterations

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from submaps.atlas.cholesky import information
 from submaps.atlas.component import Component, Link, Part
-from submaps.atlas.factors import information
 from submaps.atlas.front import Front, advance
 from submaps.atlas.placed import Placed
 from submaps.atlas.sparse import Factorisation, InverseSubset
@@ -42,9 +42,8 @@ class Components:
     def of(self, robots: Iterable[int]) -> Component:
         """The component of some robots."""
         numbers = set(robots)
-        invariant = self.state.config.filter == "invariant"
-        starts = [(r.start, r.first) for r in self.state.fleet if r.number in numbers]
-        links = [_link(start, first, invariant) for start, first in starts if start is not None]
+        starts = [(r.start, self.state.submap(r.first)) for r in self.state.fleet if r.number in numbers]
+        links = [_link(start, first) for start, first in starts if start is not None]
         made = Component(self.state.members(numbers), self._total, self.untied, links, self.known)
         self.known |= made.known_parts()
         return made
@@ -62,23 +61,24 @@ def by_root(roots: Iterable[int]) -> dict[int, list[int]]:
     return groups
 
 
-def _link(start: Start, first: int, invariant: bool) -> Link:
-    """A start as a factor: its covariance carried to the filter's error, d(p) = xi_p + J p xi_theta."""
-    carry = np.eye(3)
-    if invariant:
-        carry[0, 2], carry[1, 2] = start.pose[1], -start.pose[0]
+def _link(start: Start, first: Submap) -> Link:
+    """A start as a factor: its covariance carried to the filter's error, d(p) = xi_p + turn(p) xi_theta."""
+    space = first.space
+    carry = np.eye(space.pose)
+    if first.invariant:
+        carry[: space.dim, space.dim :] = -space.turn(np.array(start.pose[: space.dim]))
     covariance = np.ascontiguousarray(carry @ np.array(start.covariance) @ carry.T)
-    out = np.empty((3, 3))
+    out = np.empty_like(covariance)
     if not information(covariance, out):
-        raise MeasurementError(f"the start of submap {first}: its covariance is not positive definite")
-    return Link(submap_of(start.frame), first, start.pose, out)
+        raise MeasurementError(f"the start of submap {first.number}: its covariance is not positive definite")
+    return Link(submap_of(start.frame), first.number, start.pose, out)
 
 
 class Solution:
     """Values of a solve over the state that it was computed from.
 
-    ``frames`` (submaps, 3) and ``ends`` (robots, 3) are poses (x m, y m, theta rad) in the frame of
-    their component, ``landmarks`` (m, 2) the shared landmarks, component after component. ``roots``
+    ``frames`` (submaps, pose) and ``ends`` (robots, pose) are poses (see ``geometry.space``) in the frame
+    of their component, ``landmarks`` (m, dim) the shared landmarks, component after component. ``roots``
     (robots,) names for each robot the lowest robot of its component, ``untied`` (k, 2) the pairs
     (sub-map, landmark) that do not agree with the map. Covariances are derived when first asked
     for, from these values alone: a replayed solution gives the same bits.
@@ -205,7 +205,7 @@ class Solution:
             return self._inverses[root]
 
     def point(self, root: int, landmark: int) -> tuple[Floats, Floats] | None:
-        """A shared landmark's position (2,) and covariance (2, 2), or ``None`` where it is not shared."""
+        """A shared landmark's position (dim,) and covariance (dim, dim), or ``None`` where it is not shared."""
         component = self.component(root)
         variable = component.variable_of(landmark)
         if variable is None:

@@ -1,6 +1,7 @@
 """Sparse normal equations: their pattern, their factorisation, and the inverse on that pattern.
 
-Variables have two or three entries; a factor couples all of its variables with one another.
+Variables are poses, then points, of a few entries each; a factor couples all of its variables with one
+another.
 QDLDL factorises (LDL^T after an AMD ordering); Takahashi's recurrence gives the entries of the
 inverse that lie on the factor's pattern (Takahashi, Fagan, Chin 1973; Erisman, Tinney 1975).
 """
@@ -96,19 +97,20 @@ def scatter(
 ) -> None:  # fmt: skip
     """Add a factor's block (its lower triangle, in the order of ``variables``) to the whole.
 
-    A negative variable is fixed; its three rows and columns are passed over.
+    A negative variable is fixed, a pose like the first; its rows and columns are passed over.
     """
+    fixed = start[1] - start[0]
     at_a = 0
     for a in range(variables.shape[0]):
         va = variables[a]
-        wa = 3 if va < 0 else start[va + 1] - start[va]
+        wa = fixed if va < 0 else start[va + 1] - start[va]
         if va >= 0:
             for r in range(wa):
                 gradient[start[va] + r] += g[at_a + r]
             at_b = 0
             for b in range(a + 1):
                 vb = variables[b]
-                wb = 3 if vb < 0 else start[vb + 1] - start[vb]
+                wb = fixed if vb < 0 else start[vb + 1] - start[vb]
                 if vb >= 0:
                     top, left = (vb, va) if vb <= va else (va, vb)
                     k = begins[left] + np.searchsorted(rows[begins[left] : begins[left + 1]], top)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from submaps.config import MapConfig, Start
 from submaps.errors import UnknownName
-from submaps.geometry.se2 import Pose
+from submaps.geometry.space import Pose, Space
 from submaps.submap import Submap
 
 if TYPE_CHECKING:
@@ -27,7 +27,8 @@ Floats = NDArray[np.float64]
 class RobotState:
     """Where a robot is: in its active sub-map (``pose``), and by dead reckoning (``odom``).
 
-    ``start`` is where its first pose lies, if its operator said so.
+    ``odom`` is ``None`` where there is no motion model to reckon by. ``channels`` is how many numbers
+    each of its readings has. ``start`` is where its first pose lies, if its operator said so.
     """
 
     id: str
@@ -39,9 +40,10 @@ class RobotState:
     observations: int
     rejected: int
     pose: Pose
-    odom: Pose
+    odom: Pose | None
     odom_covariance: Floats
     start: Start | None = None
+    channels: int = 2
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,11 @@ class AtlasState:
     def empty(cls, config: MapConfig) -> AtlasState:
         """The state of a map that has seen nothing."""
         return cls(config, [], 0, {}, [], 0, {}, [], {}, 0, 0)
+
+    @property
+    def space(self) -> Space:
+        """The plane or space that the map is of."""
+        return self.config.geometry
 
     def submap(self, number: int) -> Submap:
         """Sub-map ``number`` as of this state; raises ``UnknownName``."""

@@ -14,12 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
+from submaps.atlas.cholesky import cholesky
+from submaps.atlas.cholesky import information as invert
 from submaps.atlas.component import Component
+from submaps.atlas.coordinates import transformed
 from submaps.atlas.factors import residual
-from submaps.atlas.placed import Placed, additive_covariance, rotation
+from submaps.atlas.placed import Placed, additive_covariance
 from submaps.atlas.solution import Untied, factorised
 from submaps.atlas.sparse import InverseSubset
-from submaps.geometry.se2 import transform
+from submaps.geometry.space import Key
 
 Floats = NDArray[np.float64]
 
@@ -33,62 +36,98 @@ _NEAR_STEPS, _FEW = 3, 4
 _MOST_VOTERS = 16
 
 
-@jit("void(float64[:, ::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[::1])")
-def tie_nis(information: Floats, xi: Floats, J: Floats, C: Floats, out: Floats) -> None:
+@jit()
+def _times(a: Floats, b: Floats, out: Floats) -> None:
+    """out <- a b."""
+    out[:] = 0.0
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            factor = a[i, k]
+            for j in range(b.shape[1]):
+                out[i, j] += factor * b[k, j]
+
+
+@jit()
+def _is_redundant(S: Floats, M: Floats) -> bool:
+    """Whether enough of a covariance is left, by the leading minors of both, whose Cholesky factors these are."""
+    share, least = 1.0, 1.0
+    for a in range(S.shape[0]):
+        share *= (M[a, a] / S[a, a]) ** 2
+        least *= _LEAST_REDUNDANCY
+        if not share > least:
+            return False
+    return True
+
+
+@jit()
+def _squared_length(L: Floats, r: Floats) -> float:
+    """|L^-1 r|^2; destroys r."""
+    total = 0.0
+    for a in range(r.shape[0]):
+        for b in range(a):
+            r[a] -= L[a, b] * r[b]
+        r[a] /= L[a, a]
+        total += r[a] * r[a]
+    return total
+
+
+_TIE_NIS = "void(UniTuple(int64, {}), float64[:, ::1], float64[::1], float64[:, ::1], float64[:, ::1], float64[::1])"
+
+
+@jit(_TIE_NIS.format(2), _TIE_NIS.format(3))
+def tie_nis(space: Key, information: Floats, xi: Floats, J: Floats, C: Floats, out: Floats) -> None:
     """``out`` (s,) <- normalised innovation squared of each shared landmark of a factor.
 
-    ``information`` (d, d), ``xi`` (d,) and J (d, 8) as in ``atlas.factors``; C (6 + 2s, 6 + 2s) the
-    covariance of the factor's variables. Zero where nothing else determines the landmark.
+    ``information`` (d, d), ``xi`` (d,) and J (d, 2 pose + dim) as in ``atlas.factors``; C (pose + d, pose + d)
+    the covariance of the factor's variables. Zero where nothing else determines the landmark.
     """
-    d, size = xi.shape[0], C.shape[0]
-    A = np.empty((2, size))
+    dim = len(space)
+    pose = 3 * dim - 3
+    ends, d, size = 2 * pose, xi.shape[0], C.shape[0]
+    S, M, own = np.empty((dim, dim)), np.empty((dim, dim)), np.empty((dim, dim))
+    by, A, AC = np.empty((dim, size)), np.empty((dim, size)), np.empty((dim, size))
+    weighted, r = np.empty(dim), np.empty(dim)
     for i in range(out.shape[0]):
-        k = 3 + 2 * i
-        l00, l01, l11 = information[k, k], information[k, k + 1], information[k + 1, k + 1]
-        det = l00 * l11 - l01 * l01
-        s00, s01, s11 = l11 / det, -l01 / det, l00 / det
-        w0 = w1 = 0.0
-        A[:] = 0.0
-        for m in range(d):
-            a0, a1 = information[k, m], information[k + 1, m]
-            w0 += a0 * xi[m]
-            w1 += a1 * xi[m]
-            for c in range(6):
-                A[0, c] += a0 * J[m, c]
-                A[1, c] += a1 * J[m, c]
-            if m >= 3:
-                column = 6 + 2 * ((m - 3) // 2)
-                for c in range(2):
-                    A[0, column + c] += a0 * J[m, 6 + c]
-                    A[1, column + c] += a1 * J[m, 6 + c]
-        r0, r1 = s00 * w0 + s01 * w1, s01 * w0 + s11 * w1
-        for c in range(size):
-            a0, a1 = A[0, c], A[1, c]
-            A[0, c], A[1, c] = s00 * a0 + s01 * a1, s01 * a0 + s11 * a1
-        m00, m01, m11 = s00, s01, s11
-        for p in range(size):
-            c0 = c1 = 0.0
-            for q in range(size):
-                c0 += A[0, q] * C[q, p]
-                c1 += A[1, q] * C[q, p]
-            m00 -= c0 * A[0, p]
-            m01 -= c0 * A[1, p]
-            m11 -= c1 * A[1, p]
-        rest = m00 * m11 - m01 * m01
-        if m00 > _LEAST_REDUNDANCY * s00 and rest > _LEAST_REDUNDANCY**2 * (s00 * s11 - s01 * s01):
-            out[i] = (m11 * r0 * r0 - 2.0 * m01 * r0 * r1 + m00 * r1 * r1) / rest
-        else:
-            out[i] = 0.0
+        k = pose + dim * i
+        by[:] = 0.0
+        weighted[:] = 0.0
+        for a in range(dim):
+            for b in range(dim):
+                own[a, b] = information[k + a, k + b]
+            for m in range(d):
+                w = information[k + a, m]
+                weighted[a] += w * xi[m]
+                for c in range(ends):
+                    by[a, c] += w * J[m, c]
+                if m >= pose:
+                    column = ends + dim * ((m - pose) // dim)
+                    for c in range(dim):
+                        by[a, column + c] += w * J[m, ends + c]
+        out[i] = 0.0
+        if not invert(own, S):
+            continue
+        _times(S, by, A)
+        _times(A, C, AC)
+        for a in range(dim):
+            r[a] = 0.0
+            for b in range(dim):
+                r[a] += S[a, b] * weighted[b]
+                M[a, b] = S[a, b]
+                for c in range(size):
+                    M[a, b] -= AC[a, c] * A[b, c]
+        if cholesky(S) and cholesky(M) and _is_redundant(S, M):
+            out[i] = _squared_length(M, r)
 
 
 def innovations(component: Component, placed: Placed) -> Floats:
     """Normalised innovation squared (s,) of a member's shared landmarks, each against the map without it."""
     _, _, estimate, information = component.parts[component.at(placed.submap.number)]
-    xi, J = np.empty(estimate.shape[0]), np.empty((estimate.shape[0], 8))
-    invariant = placed.submap.invariant
-    residual(invariant, estimate, np.array(placed.frame), np.array(placed.end), placed.points, xi, J)
+    space, d = component.space, estimate.shape[0]
+    xi, J = np.empty(d), np.empty((d, 2 * space.pose + space.dim))
+    frame, end = np.array(placed.frame), np.array(placed.end)
+    residual(space.key, placed.submap.invariant, estimate, frame, end, placed.points, xi, J)
     out = np.empty(len(placed.shared))
-    tie_nis(information, xi, J, np.ascontiguousarray(placed.covariance), out)
+    tie_nis(space.key, information, xi, J, np.ascontiguousarray(placed.covariance), out)
     return out
 
 
@@ -171,12 +210,8 @@ def _largest_agreeing(
 
 
 def _as_seen(component: Component, inverse: InverseSubset, landmark: int, f: int) -> tuple[Floats, Floats]:
-    """Where a member's own estimate puts a landmark (2,), and its covariance (2, 2)."""
+    """Where a member's own estimate puts a landmark (dim,), and its covariance (dim, dim)."""
     submap = component.members[f]
-    slot = submap.slot_of(landmark)
-    placed = component.placed(submap.number, inverse)
-    at = np.array(transform(placed.frame, float(submap.mean[slot]), float(submap.mean[slot + 1])))
-    R = rotation(placed.frame[2])
-    by_frame = np.array([[1.0, 0.0, placed.frame[1] - at[1]], [0.0, 1.0, at[0] - placed.frame[0]]])
-    own = R @ additive_covariance(submap, [slot]) @ R.T
-    return at, own + by_frame @ placed.frame_covariance @ by_frame.T
+    slot, placed = submap.slot_of(landmark), component.placed(submap.number, inverse)
+    own, by_itself = submap.mean[slot : slot + component.space.dim], additive_covariance(submap, [slot])
+    return transformed(component.space, placed.frame, placed.frame_covariance, own, by_itself)

@@ -10,19 +10,19 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from submaps.atlas.coordinates import transformed
 from submaps.atlas.estimates import LandmarkEstimate, PoseEstimate, SubmapState
 from submaps.atlas.front import Front, advance, condition
 from submaps.atlas.graph import Edge, Graph
-from submaps.atlas.placed import Placed, additive_covariance, as_pose, rotation
+from submaps.atlas.placed import Placed, additive_covariance
 from submaps.atlas.state import AtlasState, RobotState, submap_of
 from submaps.errors import NotConnected, UnknownName
-from submaps.geometry.se2 import ORIGIN, Pose, compose, compose_covariance, inverse, transform
+from submaps.geometry.space import Pose, Space
 from submaps.measurements import as_encounter
 from submaps.submap import Submap
 
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
-_J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 class View:
@@ -38,6 +38,11 @@ class View:
     def graph(self) -> Graph:
         """Relative transforms between sub-maps."""
         return Graph(self.state)
+
+    @property
+    def space(self) -> Space:
+        """The plane or space that the map is of."""
+        return self.state.space
 
     @property
     def version(self) -> int:
@@ -109,16 +114,16 @@ class View:
 
     def _first_front(self, submap: Submap) -> Front:
         """That of a robot's first sub-map which no solve has seen."""
-        start = self.state.fleet[submap.robot].start
+        start, space = self.state.fleet[submap.robot].start, self.space
         if start is None:
-            return Front.first()
+            return Front.first(space)
         pose, covariance = start.pose, np.array(start.covariance)
         k = submap_of(start.frame)
         if k is not None:
             base = self.placed(k)
-            covariance = compose_covariance(base.frame, base.frame_covariance, pose, covariance)
-            pose = compose(base.frame, pose)
-        return Front.of_start(pose, covariance)
+            covariance = space.compose_covariance(base.frame, base.frame_covariance, pose, covariance)
+            pose = space.compose(base.frame, pose)
+        return Front.of_start(space, pose, covariance)
 
     def connected(self, robot: int) -> bool:
         """Whether a robot (by number) has a place in ``map``."""
@@ -130,7 +135,7 @@ class View:
             raise NotConnected(f"no ties lead from robot {own!r} to 'map', the frame of robot {first!r}'s first pose")
 
     def frame_in(self, number: int, frame: str) -> Pose:
-        """Mean of a sub-map's frame (x m, y m, theta rad) in ``map`` or ``submap/k``."""
+        """Mean of a sub-map's frame in ``map`` or ``submap/k``."""
         target = self._submap_of(frame)
         if target is not None:
             return self.transform(target, number)[0]
@@ -138,7 +143,7 @@ class View:
         self._in_map(submap)
         solution = self.state.solution
         if solution is not None and number < solution.base.submap_count:
-            return as_pose(solution.frames[number])
+            return self.space.as_pose(solution.frames[number])
         return self.placed(number).frame
 
     def _submap_of(self, frame: str) -> int | None:
@@ -153,24 +158,27 @@ class View:
     def pose(self, robot: str, frame: str = "map") -> PoseEstimate:
         """Where a robot is, in ``map``, ``odom`` or ``submap/k``.
 
-        Raises ``UnknownName`` and, where no path of ties leads to the frame, ``NotConnected``.
+        Raises ``UnknownName`` and ``NotConnected`` where no path of ties leads to the frame, or, for
+        ``odom``, there is no motion model.
         """
-        r = self.state.robot(robot)
+        r, space = self.state.robot(robot), self.space
         if frame == "odom":
-            return PoseEstimate(frame, r.t, *r.odom, r.odom_covariance, "dead_reckoning", r.submap)
+            if r.odom is None:
+                raise NotConnected(f"robot {robot!r} has no 'odom': there is no dead reckoning without a motion model")
+            return PoseEstimate(frame, r.t, r.odom, r.odom_covariance, "dead_reckoning", r.submap)
         target = self._submap_of(frame)
         active = self.state.submap(r.submap)
         if target is None:
             self._in_map(active)
             placed = self.placed(r.submap)
-            correction = compose(placed.end, inverse(r.odom))
-            return PoseEstimate(frame, r.t, *placed.end, placed.end_covariance, "joined", r.submap, correction)
+            correction = None if r.odom is None else space.compose(placed.end, space.inverse(r.odom))
+            return PoseEstimate(frame, r.t, placed.end, placed.end_covariance, "joined", r.submap, correction)
         local = additive_covariance(active, [], with_pose=True)
         if target == r.submap:
-            return PoseEstimate(frame, r.t, *r.pose, local, "filtered", r.submap)
+            return PoseEstimate(frame, r.t, r.pose, local, "filtered", r.submap)
         T, covariance, _ = self.transform(target, r.submap)
-        there = compose(T, r.pose)
-        return PoseEstimate(frame, r.t, *there, compose_covariance(T, covariance, r.pose, local), "path", r.submap)
+        there, by_both = space.compose(T, r.pose), space.compose_covariance(T, covariance, r.pose, local)
+        return PoseEstimate(frame, r.t, there, by_both, "path", r.submap)
 
     # -- landmarks ---------------------------------------------------------------------------
 
@@ -196,9 +204,7 @@ class View:
             point, covariance = self._joined(number, [k for k in own if not self._is_untied(k, number)] or own)
         else:
             point, covariance = self._by_path(number, holders, target)
-        return LandmarkEstimate(
-            self.state.names[number], float(point[0]), float(point[1]), covariance, tuple(holders)
-        )  # fmt: skip
+        return LandmarkEstimate(self.state.names[number], point, covariance, tuple(holders))
 
     def _is_untied(self, submap: int, landmark: int) -> bool:
         solution = self.state.solution
@@ -226,21 +232,18 @@ class View:
         k = target if target in holders else min(near, key=lambda h: abs(h - target))
         submap = self.state.submap(k)
         slot = submap.slot_of(number)
-        point, covariance = submap.mean[slot : slot + 2], additive_covariance(submap, [slot])
+        point, covariance = submap.mean[slot : slot + self.space.dim], additive_covariance(submap, [slot])
         if k == target:
             return point, covariance
         T, by_frame, _ = self.transform(target, k)
-        there = np.array(transform(T, float(point[0]), float(point[1])))
-        A = np.hstack([np.eye(2), (_J @ (there - np.array(T[:2])))[:, np.newaxis]])
-        R = rotation(T[2])
-        return there, A @ by_frame @ A.T + R @ covariance @ R.T
+        return transformed(self.space, T, by_frame, point, covariance)
 
     def landmarks(
         self, start: int = 0, limit: int = 100, frame: str = "map", bbox: Box | None = None
     ) -> tuple[list[LandmarkEstimate], int | None]:
         """Up to ``limit`` landmarks from number ``start`` on, in order of first sighting, and where to go on.
 
-        ``bbox`` (x0, y0, x1, y1) keeps those inside. In ``map``, landmarks that no tie connects to it
+        ``bbox`` (x0, y0, x1, y1) keeps those inside, at any height. In ``map``, landmarks that no tie connects to it
         are left out.
         """
         found: list[LandmarkEstimate] = []
@@ -278,12 +281,13 @@ class View:
     def submap(self, number: int) -> SubmapState:
         """What the atlas says of a sub-map; raises ``UnknownName``."""
         s = self.state.submap(number)
+        robot = self.state.fleet[s.robot]
         placed = self.placed(number) if self.connected(s.robot) else None
         return SubmapState(
-            id=number, robot=self.state.fleet[s.robot].id, active=s.active,
+            id=number, robot=robot.id, active=s.active,
             pose=placed.frame if placed else None, covariance=placed.frame_covariance if placed else None,
             landmarks=int(s.landmarks.shape[0]), steps=s.steps, observations=s.observations,
-            nis=s.nis_sum / (2 * s.nis_count) if s.nis_count else None,
+            nis=s.nis_sum / (robot.channels * s.nis_count) if s.nis_count else None,
             began=s.began, ended=None if s.active else s.ended,
         )  # fmt: skip
 
@@ -292,7 +296,7 @@ class View:
         return (self.submap(k) for k in range(self.submap_count))
 
     def local_pose(self, number: int) -> tuple[Pose, Floats]:
-        """The pose at a sub-map's end in its own frame, with its (3, 3) covariance."""
+        """The pose at a sub-map's end in its own frame, with its (pose, pose) covariance."""
         s = self.state.submap(number)
         return s.pose, additive_covariance(s, [], with_pose=True)
 
@@ -304,8 +308,8 @@ class View:
             if as_encounter(self.state.names[i]) is not None:
                 continue
             covariance = additive_covariance(s, [slot])
-            x, y = float(s.mean[slot]), float(s.mean[slot + 1])
-            found.append(LandmarkEstimate(self.state.names[i], x, y, covariance, tuple(self.state.submaps_with(i))))
+            position, holders = s.mean[slot : slot + self.space.dim], tuple(self.state.submaps_with(i))
+            found.append(LandmarkEstimate(self.state.names[i], position, covariance, holders))
         return found
 
     def edges(self, start: int = 0, limit: int | None = None) -> list[Edge]:
@@ -314,8 +318,8 @@ class View:
         return [self.graph.edge(*pair) for pair in pairs[start : None if limit is None else start + limit]]
 
     def transform(self, source: int, target: int) -> tuple[Pose, Floats, list[int]]:
-        """T_source_target, its (3, 3) covariance, and the path of sub-maps that it composes along."""
+        """T_source_target, its (pose, pose) covariance, and the path of sub-maps that it composes along."""
         if source == target:
             self.state.submap(source)
-            return ORIGIN, np.zeros((3, 3)), [source]
+            return self.space.origin, np.zeros((self.space.pose, self.space.pose)), [source]
         return self.graph.path(source, target)

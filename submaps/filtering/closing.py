@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
+from submaps.filtering.forgetting import replace_pose
 from submaps.filtering.layout import COUNTS, DIM, INVARIANT, MOTIONLESS, NIS_COUNT, NIS_SUM
 from submaps.filtering.passes import add
 from submaps.filtering.predicting import predict
-from submaps.filtering.workspace import Workspace, workspace
 from submaps.geometry.space import Key
 
 Floats = NDArray[np.float64]
@@ -21,7 +21,7 @@ POSITION_FLOOR_M = 1e-4
 HEADING_FLOOR_RAD = 2e-7
 # How little an exit pose says where nothing is known of the motion: beside a landmark's centimetres, nothing.
 FLAT_POSITION_M = 1e3
-FLAT_ROTATION_RAD = 1e3
+FLAT_ROTATION_RAD = 10.0
 # Places in a row of ``Shelf.whole`` after the counts: the step at which the sub-map closed.
 STEP, ROW = COUNTS, COUNTS + 1
 # Places in ``Shelf.fill``: sub-maps, reals, ids.
@@ -29,11 +29,9 @@ CLOSED, REALS, IDS = 0, 1, 2
 
 
 @jit()
-def _take_in(
-    space: Key, x: Floats, P: Floats, n: int, motion: Floats, invariant: int, scratch: Floats, w: Workspace
-) -> None:
+def _take_in(space: Key, x: Floats, P: Floats, n: int, motion: Floats, invariant: int, scratch: Floats) -> None:
     U = scratch[: 2 * len(space) - 3]
-    if predict(space, x, P, n, motion, invariant, U, w):
+    if predict(space, x, P, n, motion, invariant, U):
         add(space, P, n, U)
 
 
@@ -43,7 +41,7 @@ def _take_in(
 )
 def flush(space: Key, x: Floats, P: Floats, counts: Ints, motion: Floats, invariant: int, scratch: Floats) -> None:
     """Predict with the pending increment and clear it, on x, P and ``motion`` in place."""
-    _take_in(space, x, P, counts[DIM], motion, invariant, scratch, workspace(space))
+    _take_in(space, x, P, counts[DIM], motion, invariant, scratch)
 
 
 @jit(
@@ -92,20 +90,9 @@ def begin(space: Key, x: Floats, P: Floats, counts: Ints, motion: Floats) -> Non
 
 
 @jit()
-def forget_pose(space: Key, P: Floats, n: int, position_variance: float, rotation_variance: float) -> None:
-    """Give the pose a covariance of its own, with no correlation to anything: what a flat prior leaves."""
-    dim, pose = len(space), 3 * len(space) - 3
-    for i in range(pose):
-        for j in range(n):
-            P[i, j] = 0.0
-            P[j, i] = 0.0
-        P[i, i] = position_variance if i < dim else rotation_variance
-
-
-@jit()
 def close(
     space: Key, step: int, x: Floats, P: Floats, ids: Ints, counts: Ints, motion: Floats, settings: Ints,
-    slot_of: NDArray[np.int32], scratch: Floats, whole: Ints, reals: Floats, numbers: Ints, fill: Ints, w: Workspace,
+    slot_of: NDArray[np.int32], scratch: Floats, whole: Ints, reals: Floats, numbers: Ints, fill: Ints,
 ) -> bool:  # fmt: skip
     """Predict to the present pose, put the sub-map on the shelf, and begin the next; false without room."""
     n = counts[DIM]
@@ -114,10 +101,13 @@ def close(
     size = n + n * (n + 1) // 2 + 2
     if row == whole.shape[0] or at + size > reals.shape[0] or first + held > numbers.shape[0]:
         return False
-    _take_in(space, x, P, n, motion, settings[INVARIANT], scratch, w)
-    if settings[MOTIONLESS]:
+    _take_in(space, x, P, n, motion, settings[INVARIANT], scratch)
+    if len(space) == 3 and settings[MOTIONLESS] != 0:
         # The pose is a guess at where the next sub-map begins, from readings that go into that one.
-        forget_pose(space, P, n, FLAT_POSITION_M**2, FLAT_ROTATION_RAD**2)
+        flat = np.zeros((6, 6))
+        for i in range(3):
+            flat[i, i], flat[3 + i, 3 + i] = FLAT_POSITION_M**2, FLAT_ROTATION_RAD**2
+        replace_pose(x, P, n, settings[INVARIANT] != 0, flat)
     reals[at : at + n] = x[:n]
     pack(space, P, n, reals[at + n : at + size - 2])
     reals[at + size - 2] = motion[NIS_SUM]

@@ -19,7 +19,6 @@ from submaps.filtering.layout import (
     OBSERVED,
 )
 from submaps.filtering.predicting import pending_of, rotate_noise
-from submaps.filtering.workspace import Workspace
 from submaps.geometry import so3
 from submaps.geometry.space import Key
 from submaps.geometry.trig import arctan2, sincos
@@ -30,7 +29,7 @@ Ints = NDArray[np.int64]
 
 @jit()
 def wants_genesis(
-    space: Key, new: int, x: Floats, P: Floats, counts: Ints, motion: Floats, whole: Ints, real: Floats, w: Workspace
+    space: Key, new: int, x: Floats, P: Floats, counts: Ints, motion: Floats, whole: Ints, real: Floats
 ) -> bool:
     """Whether the sub-map ends before a step whose observations bring ``new`` landmarks to it."""
     held = int(counts[DIM] - (3 * len(space) - 3)) // len(space)
@@ -50,7 +49,7 @@ def wants_genesis(
         heading = float(P[2, 2] + noise[2, 2])
         position = _variance_in_plane(x, P, pending, noise, invariant)
     else:
-        heading, position = _variances_in_space(x, P, pending, noise, invariant, w)
+        heading, position = _variances_in_space(x, P, pending, noise, invariant)
     return heading > float(real[MAX_HEADING_VARIANCE]) or position > float(real[MAX_POSITION_VARIANCE])
 
 
@@ -70,20 +69,18 @@ def _variance_in_plane(x: Floats, P: Floats, pending: Floats, noise: Floats, inv
 
 
 @jit()
-def _variances_in_space(
-    x: Floats, P: Floats, pending: Floats, noise: Floats, invariant: bool, w: Workspace
-) -> tuple[float, float]:
+def _variances_in_space(x: Floats, P: Floats, pending: Floats, noise: Floats, invariant: bool) -> tuple[float, float]:
     """The same in space, after the rotation's largest variance in any direction (rad^2)."""
-    so3.matrix(x[3], x[4], x[5], w.rotation)
-    rotate_noise(w.rotation, noise, w.pose, w.more)
-    q, S = w.offset, w.S
+    R, turned, S, q = np.empty((3, 3)), np.empty((6, 6)), np.empty((3, 3)), np.empty(3)
+    so3.matrix(x[3], x[4], x[5], R)
+    rotate_noise(R, noise, turned)
     position = noise[0, 0] + noise[1, 1] + noise[2, 2]
     for i in range(3):
         q[i] = x[i] if invariant else 0.0
         position += P[i, i]
         for j in range(3):
-            q[i] += w.rotation[i, j] * pending[j]
-            S[i, j] = P[3 + i, 3 + j] + w.more[3 + i, 3 + j]
+            q[i] += R[i, j] * pending[j]
+            S[i, j] = P[3 + i, 3 + j] + turned[3 + i, 3 + j]
     # tr(turn(q) P_theta,p) = sum of q_i times the antisymmetric part, tr(turn T turn^T) = |q|^2 tr T - q^T T q
     squared, turning = q[0] * q[0] + q[1] * q[1] + q[2] * q[2], 0.0
     for i in range(3):
@@ -92,7 +89,7 @@ def _variances_in_space(
         turning += squared * P[3 + i, 3 + i]
         for j in range(3):
             turning -= q[i] * P[3 + i, 3 + j] * q[j]
-    return _largest_eigenvalue(S), position + turning
+    return _largest_eigenvalue(S), float(position + turning)
 
 
 @jit()
@@ -103,9 +100,9 @@ def _largest_eigenvalue(S: Floats) -> float:
     a, b, c = S[0, 0] - mean, S[1, 1] - mean, S[2, 2] - mean
     spread = math.sqrt((a * a + b * b + c * c + 2.0 * off) / 6.0)
     if not spread > 0.0:
-        return mean
+        return float(mean)
     minors = a * (b * c - S[1, 2] * S[1, 2]) - S[0, 1] * (S[0, 1] * c - S[1, 2] * S[0, 2])
     determinant = (minors + S[0, 2] * (S[0, 1] * S[1, 2] - b * S[0, 2])) / (spread * spread * spread)
     half = min(max(0.5 * determinant, -1.0), 1.0)
     third = arctan2(math.sqrt(1.0 - half * half), half) / 3.0
-    return mean + 2.0 * spread * sincos(third)[1]
+    return float(mean + 2.0 * spread * sincos(third)[1])

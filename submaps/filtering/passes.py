@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
+from submaps.filtering.workspace import GAIN, INNOVATION_COVARIANCE, TURNING
 from submaps.geometry.space import Key
 from submaps.geometry.trig import EPSILON
 
@@ -37,7 +38,7 @@ def add(space: Key, P: Floats, n: int, U: Floats) -> None:
                 P[i, j] += ai * a[j] + bi * b[j] + ci * c[j]
 
 
-@jit()
+@jit(inline=True)
 def subtract(space: Key, P: Floats, n: int, A: Floats) -> None:
     """P <- P - A^T A, of the rows of A: two in the plane, three in space."""
     width = (n + 7) // 8 * 8
@@ -61,7 +62,7 @@ def subtract(space: Key, P: Floats, n: int, A: Floats) -> None:
     _give_back(space, P, n, A)
 
 
-@jit()
+@jit(inline=True)
 def add_and_subtract(space: Key, P: Floats, n: int, U: Floats, A: Floats) -> None:
     """P <- P + U^T U - A^T A in one pass."""
     width = (n + 7) // 8 * 8
@@ -87,7 +88,7 @@ def add_and_subtract(space: Key, P: Floats, n: int, U: Floats, A: Floats) -> Non
     _give_back(space, P, n, A)
 
 
-@jit()
+@jit(inline=True)
 def _give_back(space: Key, P: Floats, n: int, A: Floats) -> None:
     floor = _ROUNDING * n
     if len(space) == 2:
@@ -100,7 +101,7 @@ def _give_back(space: Key, P: Floats, n: int, A: Floats) -> None:
             P[i, i] += floor * (P[i, i] + a[i] * a[i] + b[i] * b[i] + c[i] * c[i])
 
 
-@jit()
+@jit(inline=True)
 def end_in_zeros(n: int, rows: Floats) -> None:
     """Clear what lies between entry n of each row and the end of its cache line."""
     for i in range(rows.shape[0]):
@@ -108,11 +109,11 @@ def end_in_zeros(n: int, rows: Floats) -> None:
             rows[i, j] = 0.0
 
 
-@jit()
-def gain_columns(space: Key, P: Floats, n: int, k: int, G: Floats, T: Floats, by_rotation: bool, A: Floats) -> None:
-    """A <- H P for H = G on l - p, and T on the rotation, of the landmark at place k."""
+@jit(inline=True)
+def gain_columns(space: Key, P: Floats, n: int, k: int, by_rotation: bool, A: Floats, w: Floats) -> None:
+    """A <- H P for H = ``GAIN`` on l - p, and ``TURNING`` on the rotation, of the landmark at place k."""
     if len(space) == 2:
-        g00, g01, g10, g11 = G[0, 0], G[0, 1], G[1, 0], G[1, 1]
+        g00, g01, g10, g11 = w[GAIN], w[GAIN + 1], w[GAIN + 2], w[GAIN + 3]
         a, b = A[0], A[1]
         px, py, heading, lx, ly = P[0], P[1], P[2], P[k], P[k + 1]
         for j in range(n):
@@ -121,20 +122,20 @@ def gain_columns(space: Key, P: Floats, n: int, k: int, G: Floats, T: Floats, by
             a[j] = g00 * e0 + g01 * e1
             b[j] = g10 * e0 + g11 * e1
         if by_rotation:
-            t0, t1 = T[0, 0], T[1, 0]
+            t0, t1 = w[TURNING], w[TURNING + 1]
             for j in range(n):
                 a[j] += t0 * heading[j]
                 b[j] += t1 * heading[j]
     else:
-        _gain_in_space(P, n, k, G, A[0], A[1], A[2])
+        _gain_in_space(P, n, k, A[0], A[1], A[2], w)
         if by_rotation:
-            _gain_by_rotation(P, n, T, A[0], A[1], A[2])
+            _gain_by_rotation(P, n, A[0], A[1], A[2], w)
 
 
 @jit()
-def _gain_in_space(P: Floats, n: int, k: int, G: Floats, a: Floats, b: Floats, c: Floats) -> None:
-    g00, g01, g02, g10, g11, g12 = G[0, 0], G[0, 1], G[0, 2], G[1, 0], G[1, 1], G[1, 2]
-    g20, g21, g22 = G[2, 0], G[2, 1], G[2, 2]
+def _gain_in_space(P: Floats, n: int, k: int, a: Floats, b: Floats, c: Floats, w: Floats) -> None:
+    g00, g01, g02, g10, g11, g12 = w[GAIN], w[GAIN + 1], w[GAIN + 2], w[GAIN + 3], w[GAIN + 4], w[GAIN + 5]
+    g20, g21, g22 = w[GAIN + 6], w[GAIN + 7], w[GAIN + 8]
     px, py, pz, lx, ly, lz = P[0], P[1], P[2], P[k], P[k + 1], P[k + 2]
     for j in range(n):
         e0, e1, e2 = lx[j] - px[j], ly[j] - py[j], lz[j] - pz[j]
@@ -144,40 +145,41 @@ def _gain_in_space(P: Floats, n: int, k: int, G: Floats, a: Floats, b: Floats, c
 
 
 @jit()
-def _gain_by_rotation(P: Floats, n: int, T: Floats, a: Floats, b: Floats, c: Floats) -> None:
+def _gain_by_rotation(P: Floats, n: int, a: Floats, b: Floats, c: Floats, w: Floats) -> None:
     for i in range(3):
-        t0, t1, t2, row = T[0, i], T[1, i], T[2, i], P[3 + i]
+        t0, t1, t2, row = w[TURNING + i], w[TURNING + 3 + i], w[TURNING + 6 + i], P[3 + i]
         for j in range(n):
             a[j] += t0 * row[j]
             b[j] += t1 * row[j]
             c[j] += t2 * row[j]
 
 
-@jit()
-def gain_of_prediction(space: Key, n: int, k: int, G: Floats, U: Floats, A: Floats) -> None:
+@jit(inline=True)
+def gain_of_prediction(space: Key, n: int, k: int, U: Floats, A: Floats, w: Floats) -> None:
     """A <- A + (H U^T) U: what the prediction that is still to be added brings to the gain."""
     for b in range(U.shape[0]):
         u = U[b]
         for a in range(len(space)):
             weight, row = 0.0, A[a]
             for i in range(len(space)):
-                weight += G[a, i] * (u[k + i] - u[i])
+                weight += w[GAIN + len(space) * a + i] * (u[k + i] - u[i])
             for j in range(n):
                 row[j] += weight * u[j]
 
 
-@jit()
-def whiten(space: Key, n: int, L: Floats, A: Floats) -> None:
-    """A <- L^-1 A, with L lower triangular."""
+@jit(inline=True)
+def whiten(space: Key, n: int, A: Floats, w: Floats) -> None:
+    """A <- L^-1 A, with L the factor at ``INNOVATION_COVARIANCE``."""
+    L = INNOVATION_COVARIANCE
     if len(space) == 2:
-        l00, l10, l11 = L[0, 0], L[1, 0], L[1, 1]
+        l00, l10, l11 = w[L], w[L + 2], w[L + 3]
         a, b = A[0], A[1]
         for j in range(n):
             a[j] /= l00
             b[j] = (b[j] - l10 * a[j]) / l11
     else:
-        r0, r1, r2 = 1.0 / L[0, 0], 1.0 / L[1, 1], 1.0 / L[2, 2]
-        l10, l20, l21 = L[1, 0], L[2, 0], L[2, 1]
+        r0, r1, r2 = 1.0 / w[L], 1.0 / w[L + 4], 1.0 / w[L + 8]
+        l10, l20, l21 = w[L + 3], w[L + 6], w[L + 7]
         a, b, c = A[0], A[1], A[2]
         for j in range(n):
             aj = a[j] * r0

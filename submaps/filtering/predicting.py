@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from submaps._jit import jit
 from submaps.filtering.layout import PENDING
-from submaps.filtering.workspace import Workspace
 from submaps.geometry import so3
 from submaps.geometry.space import Key
 from submaps.geometry.trig import sincos, wrap
@@ -58,12 +57,12 @@ def accumulate(pending: Floats, noise: Floats, step: Floats, step_noise: Floats)
 
 
 @jit()
-def accumulate_in_space(pending: Floats, noise: Floats, step: Floats, step_noise: Floats, w: Workspace) -> None:
+def accumulate_in_space(pending: Floats, noise: Floats, step: Floats, step_noise: Floats) -> None:
     """The same in space, (6,) with (6, 6): D <- (p + R v, R exp(r)).
 
     The error of the composition is d(D) + (turn(R v), 0) d(D_theta) + diag(R, R) d(step).
     """
-    R = w.rotation
+    R, turned = np.empty((3, 3)), np.empty((6, 6))
     so3.matrix(pending[3], pending[4], pending[5], R)
     v0 = R[0, 0] * step[0] + R[0, 1] * step[1] + R[0, 2] * step[2]
     v1 = R[1, 0] * step[0] + R[1, 1] * step[1] + R[1, 2] * step[2]
@@ -78,10 +77,10 @@ def accumulate_in_space(pending: Floats, noise: Floats, step: Floats, step_noise
         noise[i, 0] += v2 * b - v1 * c
         noise[i, 1] += v0 * c - v2 * a
         noise[i, 2] += v1 * a - v0 * b
-    rotate_noise(R, step_noise, w.pose, w.more)
+    rotate_noise(R, step_noise, turned)
     for i in range(6):
         for j in range(i + 1):
-            noise[i, j] += w.more[i, j]
+            noise[i, j] += turned[i, j]
             noise[j, i] = noise[i, j]
     q = _multiply(_quaternion(pending[3], pending[4], pending[5]), _quaternion(step[3], step[4], step[5]))
     pending[0] += v0
@@ -91,8 +90,9 @@ def accumulate_in_space(pending: Floats, noise: Floats, step: Floats, step_noise
 
 
 @jit()
-def rotate_noise(R: Floats, Q: Floats, room: Floats, out: Floats) -> None:
+def rotate_noise(R: Floats, Q: Floats, out: Floats) -> None:
     """out <- diag(R, R) Q diag(R, R)^T, of (6, 6) and a rotation (3, 3)."""
+    room = np.empty((6, 6))
     for i in range(6):
         at = 3 * (i // 3)
         for j in range(6):
@@ -104,9 +104,7 @@ def rotate_noise(R: Floats, Q: Floats, room: Floats, out: Floats) -> None:
 
 
 @jit()
-def predict_invariant(
-    space: Key, x: Floats, P: Floats, n: int, pending: Floats, noise: Floats, U: Floats, w: Workspace
-) -> bool:
+def predict_invariant(space: Key, x: Floats, P: Floats, n: int, pending: Floats, noise: Floats, U: Floats) -> bool:
     """Move the pose by the pending increment; leave the covariance's low-rank part in U (rot rows).
 
     F = I, G = [[R, -turn(p+) R], [0, R], [0, -turn(l_i) R] ...], with 1 in place of the last R in the plane.
@@ -115,7 +113,7 @@ def predict_invariant(
     """
     if len(space) == 2:
         return _predict_plane(x, P, n, pending, noise, U[0])
-    return _predict_space(x, P, n, pending, noise, U, w)
+    return _predict_space(x, P, n, pending, noise, U)
 
 
 @jit()
@@ -147,10 +145,10 @@ def _predict_plane(x: Floats, P: Floats, n: int, pending: Floats, noise: Floats,
 
 
 @jit()
-def _predict_space(x: Floats, P: Floats, n: int, pending: Floats, noise: Floats, U: Floats, w: Workspace) -> bool:
-    R, Q = w.rotation, w.more
+def _predict_space(x: Floats, P: Floats, n: int, pending: Floats, noise: Floats, U: Floats) -> bool:
+    R, Q, column = np.empty((3, 3)), np.empty((6, 6)), np.empty(6)
     so3.matrix(x[3], x[4], x[5], R)
-    rotate_noise(R, noise, w.pose, Q)
+    rotate_noise(R, noise, Q)
     for i in range(3):
         x[i] += R[i, 0] * pending[0] + R[i, 1] * pending[1] + R[i, 2] * pending[2]
     q = _multiply(_quaternion(x[3], x[4], x[5]), _quaternion(pending[3], pending[4], pending[5]))
@@ -161,15 +159,15 @@ def _predict_space(x: Floats, P: Floats, n: int, pending: Floats, noise: Floats,
         root = math.sqrt(pivot) if pivot > least else 0.0
         u = U[k]
         for i in range(6):  # what the rotation's k-th noise moves; the rest of Q is free of it
-            w.step[i] = Q[i, 3 + k] / root if root > 0.0 else 0.0
-        m0, m1, m2 = w.step[3], w.step[4], w.step[5]
+            column[i] = Q[i, 3 + k] / root if root > 0.0 else 0.0
+        m0, m1, m2 = column[3], column[4], column[5]
         for i in range(6):
             for j in range(6):
-                Q[i, j] -= w.step[i] * w.step[j]
+                Q[i, j] -= column[i] * column[j]
         found = found or root > 0.0
-        u[0] = w.step[0] - x[2] * m1 + x[1] * m2
-        u[1] = w.step[1] + x[2] * m0 - x[0] * m2
-        u[2] = w.step[2] - x[1] * m0 + x[0] * m1
+        u[0] = column[0] - x[2] * m1 + x[1] * m2
+        u[1] = column[1] + x[2] * m0 - x[0] * m2
+        u[2] = column[2] - x[1] * m0 + x[0] * m1
         u[3], u[4], u[5] = m0, m1, m2
         for i in range(6, n, 3):
             u[i] = x[i + 1] * m2 - x[i + 2] * m1
@@ -184,14 +182,14 @@ def _predict_space(x: Floats, P: Floats, n: int, pending: Floats, noise: Floats,
 
 
 @jit()
-def predict_standard(space: Key, x: Floats, P: Floats, n: int, pending: Floats, noise: Floats, w: Workspace) -> None:
+def predict_standard(space: Key, x: Floats, P: Floats, n: int, pending: Floats, noise: Floats) -> None:
     """The textbook prediction in O(n): F = [[I, turn(R d)], [0, I]] on the pose's rows, G = diag(R, R), in the
     plane diag(R, 1).
     """
     if len(space) == 2:
         _standard_plane(x, P, n, pending, noise)
     else:
-        _standard_space(x, P, n, pending, noise, w)
+        _standard_space(x, P, n, pending, noise)
 
 
 @jit()
@@ -222,8 +220,8 @@ def _standard_plane(x: Floats, P: Floats, n: int, pending: Floats, noise: Floats
 
 
 @jit()
-def _standard_space(x: Floats, P: Floats, n: int, pending: Floats, noise: Floats, w: Workspace) -> None:
-    R = w.rotation
+def _standard_space(x: Floats, P: Floats, n: int, pending: Floats, noise: Floats) -> None:
+    R, turned = np.empty((3, 3)), np.empty((6, 6))
     so3.matrix(x[3], x[4], x[5], R)
     d0 = R[0, 0] * pending[0] + R[0, 1] * pending[1] + R[0, 2] * pending[2]
     d1 = R[1, 0] * pending[0] + R[1, 1] * pending[1] + R[1, 2] * pending[2]
@@ -238,11 +236,11 @@ def _standard_space(x: Floats, P: Floats, n: int, pending: Floats, noise: Floats
         P[j, 0] += d2 * b - d1 * c
         P[j, 1] += d0 * c - d2 * a
         P[j, 2] += d1 * a - d0 * b
-    rotate_noise(R, noise, w.pose, w.more)
+    rotate_noise(R, noise, turned)
     for i in range(6):
         for j in range(i, n):
             if j < 6:
-                P[i, j] += w.more[i, j]
+                P[i, j] += turned[i, j]
             P[j, i] = P[i, j]
     x[0] += d0
     x[1] += d1
@@ -252,16 +250,16 @@ def _standard_space(x: Floats, P: Floats, n: int, pending: Floats, noise: Floats
 
 
 @jit()
-def predict(space: Key, x: Floats, P: Floats, n: int, motion: Floats, invariant: int, U: Floats, w: Workspace) -> bool:
+def predict(space: Key, x: Floats, P: Floats, n: int, motion: Floats, invariant: int, U: Floats) -> bool:
     """Predict with the pending increment and clear it; whether ``U`` holds rank-one terms still to be added."""
     if not np.any(motion[PENDING:]):
         return False
     pending, noise = pending_of(space, motion)
     has_u = False
     if invariant:
-        has_u = predict_invariant(space, x, P, n, pending, noise, U, w)
+        has_u = predict_invariant(space, x, P, n, pending, noise, U)
     else:
-        predict_standard(space, x, P, n, pending, noise, w)
+        predict_standard(space, x, P, n, pending, noise)
     motion[PENDING:] = 0.0
     return has_u
 

@@ -14,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
+from submaps.filtering.forgetting import replace_pose
 from submaps.filtering.kernel import linearise
-from submaps.filtering.workspace import Workspace
+from submaps.filtering.layout import SENSOR
+from submaps.filtering.workspace import GAIN, INNOVATION, NOISE, POINT, TURNING
 from submaps.geometry import so3
 from submaps.geometry.space import Key
 from submaps.observation.models import invert
@@ -31,19 +33,20 @@ _LEAST_KNOWN = 3
 _LEAST_SHARE = 1e-10
 
 _quaternion, _multiply, _rotation_vector = so3.quaternion, so3.multiply, so3.rotation_vector
+_entries = so3.entries
 
 
 @jit()
 def relocalise(
-    space: Key, x: Floats, P: Floats, n: int, begin: int, end: int, landmark: Ints, z: Floats, R: Floats,
-    model: int, sensor: Floats, slot_of: NDArray[np.int32], w: Workspace,
+    space: Key, x: Floats, P: Floats, n: int, invariant: bool, begin: int, end: int, landmark: Ints, z: Floats,
+    R: Floats, model: int, real: Floats, slot_of: NDArray[np.int32], w: Floats,
 ) -> bool:  # fmt: skip
     """Put the pose where one step's readings of known landmarks say, with a wide prior; false where they do not.
 
     On success x and the pose's rows and columns of P are changed, otherwise nothing is.
     """
     pose = np.empty(6)
-    if not _closed_form(space, x, begin, end, landmark, z, R, model, sensor, slot_of, w, pose):
+    if not _closed_form(space, x, begin, end, landmark, z, R, model, real, slot_of, w, pose):
         return False
     state = np.concatenate((pose, np.zeros(3)))
     information, gradient, L = np.empty((6, 6)), np.empty(6), np.empty((6, 6))
@@ -54,7 +57,7 @@ def relocalise(
             slot = slot_of[landmark[o]]
             if slot >= 0:
                 state[6:9] = x[slot : slot + 3]
-                linearise(space, state, 6, model, sensor, z[:, o], R[o if R.shape[0] > 1 else 0], w)
+                linearise(space, state, 6, model, real, SENSOR, z[:, o], 0, R[o if R.shape[0] > 1 else 0], w)
                 _accumulate(w, information, gradient)
         if not _factor(information, L):
             return False
@@ -65,30 +68,27 @@ def relocalise(
         if size < _SETTLED:
             break
     x[:6] = state[:6]
-    for i in range(6):
-        for j in range(n):
-            P[i, j] = 0.0
-            P[j, i] = 0.0
-    _wide_prior(L, P)
+    _wide_prior(L, information)
+    replace_pose(x, P, n, invariant, information)
     return True
 
 
 @jit()
-def _accumulate(w: Workspace, information: Floats, gradient: Floats) -> None:
+def _accumulate(w: Floats, information: Floats, gradient: Floats) -> None:
     """Add one reading's H^T R^-1 H and H^T R^-1 v, H = (-gain, turning) on (position, rotation), in place."""
     H, column, N = np.empty((3, 6)), np.empty(3), np.empty((3, 3))
-    N[:] = w.noise
     for a in range(3):
         for j in range(3):
-            H[a, j] = -w.gain[a, j]
-            H[a, 3 + j] = w.turning[a, j]
+            N[a, j] = w[NOISE + 3 * a + j]
+            H[a, j] = -w[GAIN + 3 * a + j]
+            H[a, 3 + j] = w[TURNING + 3 * a + j]
     for i in range(3):  # whiten rows of H and v by the Cholesky factor of the noise
         for j in range(i + 1):
             total = N[i, j]
             for k in range(j):
                 total -= N[i, k] * N[j, k]
             N[i, j] = math.sqrt(total) if i == j else total / N[j, j]
-        column[i] = w.innovation[i]
+        column[i] = w[INNOVATION + i]
         for k in range(i):
             column[i] -= N[i, k] * column[k]
             for j in range(6):
@@ -147,34 +147,34 @@ def _move(state: Floats, step: Floats) -> float:
 
 
 @jit()
-def _wide_prior(L: Floats, P: Floats) -> None:
-    """The pose's block of P <- (L L^T)^-1, many times over."""
+def _wide_prior(L: Floats, out: Floats) -> None:
+    """out <- (L L^T)^-1 (6, 6), many times over."""
     unit = np.empty(6)
     for j in range(6):
         unit[:] = 0.0
         unit[j] = _WIDER
         _solve(L, unit)
         for i in range(j, 6):
-            P[i, j] = unit[i]
-            P[j, i] = unit[i]
+            out[i, j] = unit[i]
+            out[j, i] = unit[i]
 
 
 @jit()
 def _closed_form(
-    space: Key, x: Floats, begin: int, end: int, landmark: Ints, z: Floats, R: Floats, model: int, sensor: Floats,
-    slot_of: NDArray[np.int32], w: Workspace, pose: Floats,
+    space: Key, x: Floats, begin: int, end: int, landmark: Ints, z: Floats, R: Floats, model: int, real: Floats,
+    slot_of: NDArray[np.int32], w: Floats, pose: Floats,
 ) -> bool:  # fmt: skip
     """The pose that lays the points that readings show onto the landmarks: l = p + R y in least squares."""
     body, mean, known = np.zeros(3), np.zeros(3), 0
     for o in range(begin, end):
         slot = slot_of[landmark[o]]
         if slot >= 0:
-            invert(space, model, sensor, z[:, o], R[o if R.shape[0] > 1 else 0], w)
-            if not _is_finite(w.point):
+            invert(space, model, real, SENSOR, z[:, o], 0, R[o if R.shape[0] > 1 else 0], w)
+            if not _is_finite(w):
                 continue
             known += 1
             for i in range(3):
-                body[i] += w.point[i]
+                body[i] += w[POINT + i]
                 mean[i] += x[slot + i]
     if known < _LEAST_KNOWN:
         return False
@@ -184,26 +184,27 @@ def _closed_form(
     for o in range(begin, end):
         slot = slot_of[landmark[o]]
         if slot >= 0:
-            invert(space, model, sensor, z[:, o], R[o if R.shape[0] > 1 else 0], w)
-            if not _is_finite(w.point):
+            invert(space, model, real, SENSOR, z[:, o], 0, R[o if R.shape[0] > 1 else 0], w)
+            if not _is_finite(w):
                 continue
             for i in range(3):
                 for j in range(3):
-                    M[i, j] += (w.point[i] - body[i]) * (x[slot + j] - mean[j])
+                    M[i, j] += (w[POINT + i] - body[i]) * (x[slot + j] - mean[j])
     q = _rotation_of(M)
     r = _rotation_vector(q)
-    so3.matrix(r[0], r[1], r[2], w.rotation)
+    turned = _entries(r[0], r[1], r[2])
     for i in range(3):
         pose[3 + i] = r[i]
         pose[i] = mean[i]
         for j in range(3):
-            pose[i] -= w.rotation[i, j] * body[j]
+            pose[i] -= turned[3 * i + j] * body[j]
     return True
 
 
 @jit()
-def _is_finite(point: Floats) -> bool:
-    return abs(point[0]) + abs(point[1]) + abs(point[2]) < math.inf
+def _is_finite(w: Floats) -> bool:
+    """Whether the point that a reading shows is one."""
+    return bool(abs(w[POINT]) + abs(w[POINT + 1]) + abs(w[POINT + 2]) < math.inf)
 
 
 @jit()

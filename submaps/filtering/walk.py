@@ -32,7 +32,7 @@ from submaps.filtering.layout import (
 from submaps.filtering.passes import add
 from submaps.filtering.predicting import accumulate, accumulate_in_space, pending_of, predict
 from submaps.filtering.relocating import relocalise
-from submaps.filtering.workspace import Workspace, workspace
+from submaps.filtering.workspace import READING, workspace
 from submaps.geometry import so3
 from submaps.geometry.space import Key
 from submaps.geometry.trig import sincos, wrap
@@ -41,7 +41,11 @@ from submaps.observation.models import CARTESIAN, sensor_size
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+# (1e-4 m)^2: keeps a pose and a mark at the same place from being the same number twice.
+_MARK_VARIANCE = 1e-8
+
 _quaternion, _multiply, _rotation_vector = so3.quaternion, so3.multiply, so3.rotation_vector
+_entries = so3.entries
 
 
 @jit()
@@ -62,16 +66,15 @@ def _new_landmarks(landmark: Ints, slot_of: NDArray[np.int32], begin: int, end: 
 def _observe(
     space: Key, begin: int, end: int, landmark: Ints, z: Floats, R: Floats, own: NDArray[np.uint8], whole: Ints,
     real: Floats, x: Floats, P: Floats, ids: Ints, counts: Ints, motion: Floats, slot_of: NDArray[np.int32],
-    scratch: Floats, nis: Floats, status: NDArray[np.uint8], w: Workspace,
+    scratch: Floats, nis: Floats, status: NDArray[np.uint8], w: Floats,
 ) -> None:  # fmt: skip
     """Predict with the pending increment, then take one step's observations in turn."""
     dim, pose = len(space), 3 * len(space) - 3
     U, A = scratch[: pose - dim], scratch[pose - dim : pose]
-    size = sensor_size(dim)
-    sensor, body = real[SENSOR : SENSOR + size], real[SENSOR + size : SENSOR + 2 * size]
+    body = SENSOR + sensor_size(dim)
     model, invariant = whole[MODEL], whole[INVARIANT] != 0
     observed = 0
-    has_u = predict(space, x, P, counts[DIM], motion, whole[INVARIANT], U, w)
+    has_u = predict(space, x, P, counts[DIM], motion, whole[INVARIANT], U)
     # Where each pose is found from what is seen, known landmarks come first: new ones are placed by them.
     before = counts[DIM]
     passes = 2 if whole[MOTIONLESS] != 0 and before > pose else 1
@@ -86,17 +89,18 @@ def _observe(
                 if has_u:
                     add(space, P, n, U)
                     has_u = False
-                if slot < 0 and augment(space, x, P, n, CARTESIAN, body, w.nothing, w.mark, invariant, w):
+                nothing, mark = np.zeros(dim), _MARK_VARIANCE * np.eye(dim)
+                if slot < 0 and augment(space, x, P, n, CARTESIAN, real, body, nothing, 0, mark, invariant, w):
                     slot_of[landmark[o]] = n
                     ids[(n - pose) // dim] = landmark[o]
                     counts[DIM] = n + dim
                 continue
             observed = 1
             for c in range(z.shape[0]):
-                w.reading[c] = z[c, o]
+                w[READING + c] = z[c, o]
             if slot >= 0:
                 status[o], nis[o] = update(
-                    space, x, P, n, slot, model, sensor, w.reading, Ro, real[GATE], real[FLAG], invariant,
+                    space, x, P, n, slot, model, real, SENSOR, w, READING, Ro, real[GATE], real[FLAG], invariant,
                     U, has_u, A, w,
                 )  # fmt: skip
                 if status[o] == GATED or status[o] == SINGULAR:
@@ -110,7 +114,7 @@ def _observe(
                     add(space, P, n, U)
                     has_u = False
                 nis[o] = math.nan
-                if not augment(space, x, P, n, model, sensor, w.reading, Ro, invariant, w):
+                if not augment(space, x, P, n, model, real, SENSOR, w, READING, Ro, invariant, w):
                     status[o] = SINGULAR
                     counts[REJECTED] += 1
                     continue
@@ -127,17 +131,18 @@ def _observe(
 @jit()
 def _located(
     space: Key, begin: int, end: int, landmark: Ints, z: Floats, R: Floats, whole: Ints, real: Floats, x: Floats,
-    P: Floats, counts: Ints, slot_of: NDArray[np.int32], w: Workspace,
+    P: Floats, counts: Ints, slot_of: NDArray[np.int32], w: Floats,
 ) -> bool:  # fmt: skip
     """Whether the robot's pose is known before a step's observations; without motion, they have to say it."""
     if len(space) == 2 or whole[MOTIONLESS] == 0 or counts[DIM] == 6:
         return True
-    sensor = real[SENSOR : SENSOR + sensor_size(3)]
-    return relocalise(space, x, P, counts[DIM], begin, end, landmark, z, R, whole[MODEL], sensor, slot_of, w)
+    return relocalise(
+        space, x, P, counts[DIM], whole[INVARIANT] != 0, begin, end, landmark, z, R, whole[MODEL], real, slot_of, w
+    )
 
 
 @jit()
-def _present(space: Key, x: Floats, pending: Floats, out: Floats, w: Workspace) -> None:
+def _present(space: Key, x: Floats, pending: Floats, out: Floats) -> None:
     """The pose with the pending increment composed onto it, into ``out`` (pose,)."""
     if len(space) == 2:
         sine, cosine = sincos(x[2])
@@ -145,11 +150,11 @@ def _present(space: Key, x: Floats, pending: Floats, out: Floats, w: Workspace) 
         out[1] = x[1] + sine * pending[0] + cosine * pending[1]
         out[2] = wrap(x[2] + pending[2])
     else:
-        so3.matrix(x[3], x[4], x[5], w.rotation)
+        R = _entries(x[3], x[4], x[5])
         for i in range(3):
             out[i] = x[i]
             for j in range(3):
-                out[i] += w.rotation[i, j] * pending[j]
+                out[i] += R[3 * i + j] * pending[j]
         turned = _quaternion(pending[3], pending[4], pending[5])
         out[3], out[4], out[5] = _rotation_vector(_multiply(_quaternion(x[3], x[4], x[5]), turned))
 
@@ -185,7 +190,7 @@ def walk(
     this step's observations; GROW, where the state's arrays are too small for them.
     """
     dim = len(space)
-    w = workspace(space)
+    w = workspace()
     pending, noise = pending_of(space, motion)
     c = int(np.searchsorted(control_step, step + (1 if resumed else 0)))
     i = int(np.searchsorted(observation_step, step))
@@ -194,7 +199,7 @@ def walk(
             if len(space) == 2:
                 accumulate(pending, noise, increments[c], noises[c])
             else:
-                accumulate_in_space(pending, noise, increments[c], noises[c], w)
+                accumulate_in_space(pending, noise, increments[c], noises[c])
             c += 1
         resumed = False
         end, marked = i, False
@@ -207,10 +212,10 @@ def walk(
             i = end
         if end > i:
             new = _new_landmarks(landmark, slot_of, i, end)
-            if wants_genesis(space, new, x, P, counts, motion, whole, real, w):
+            if wants_genesis(space, new, x, P, counts, motion, whole, real):
                 if not close(
                     space, step, x, P, ids, counts, motion, whole, slot_of, scratch,
-                    shelf_whole, shelf_reals, shelf_ids, fill, w,
+                    shelf_whole, shelf_reals, shelf_ids, fill,
                 ):  # fmt: skip
                     return GENESIS, step
                 new = _new_landmarks(landmark, slot_of, i, end)
@@ -223,7 +228,7 @@ def walk(
             )  # fmt: skip
             i = end
         counts[STEPS] += not marked
-        _present(space, x, pending, track[step], w)
+        _present(space, x, pending, track[step])
         chapter[step] = fill[CLOSED]
         step += 1
     return DONE, step

@@ -19,7 +19,15 @@ from submaps.geometry.trig import arctan2, rotation_series, sincos
 Floats = NDArray[np.float64]
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
+Nine = tuple[float, float, float, float, float, float, float, float, float]
 _TINY = 1e-9
+
+
+@jit()
+def _fill(entries: Nine, out: Floats) -> None:
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = entries[3 * i + j]
 
 
 @jit("UniTuple(float64, 4)(float64, float64, float64)")
@@ -52,13 +60,21 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
     )
 
 
+@jit("UniTuple(float64, 9)(float64, float64, float64)")
+def entries(x: float, y: float, z: float) -> Nine:
+    """The rotation matrix of a rotation vector (rad), row by row."""
+    i, j, k, w = quaternion(x, y, z)
+    return (
+        1.0 - 2.0 * (j * j + k * k), 2.0 * (i * j - k * w), 2.0 * (i * k + j * w),
+        2.0 * (i * j + k * w), 1.0 - 2.0 * (i * i + k * k), 2.0 * (j * k - i * w),
+        2.0 * (i * k - j * w), 2.0 * (j * k + i * w), 1.0 - 2.0 * (i * i + j * j),
+    )  # fmt: skip
+
+
 @jit("void(float64, float64, float64, float64[:, :])")
 def matrix(x: float, y: float, z: float, out: Floats) -> None:
     """The rotation matrix (3, 3) of a rotation vector (rad), into ``out``."""
-    i, j, k, w = quaternion(x, y, z)
-    out[0, 0], out[0, 1], out[0, 2] = 1.0 - 2.0 * (j * j + k * k), 2.0 * (i * j - k * w), 2.0 * (i * k + j * w)
-    out[1, 0], out[1, 1], out[1, 2] = 2.0 * (i * j + k * w), 1.0 - 2.0 * (i * i + k * k), 2.0 * (j * k - i * w)
-    out[2, 0], out[2, 1], out[2, 2] = 2.0 * (i * k - j * w), 2.0 * (j * k + i * w), 1.0 - 2.0 * (i * i + j * j)
+    _fill(entries(x, y, z), out)
 
 
 @jit("UniTuple(float64, 4)(float64[:, :])")
@@ -111,29 +127,35 @@ def inverse_series(squared: float) -> tuple[float, float]:
     return g, 2.0 * (b[1] + z * (2.0 * b[2] + z * (3.0 * b[3] + z * (4.0 * b[4] + z * 5.0 * b[5]))))
 
 
-@jit("void(float64, float64, float64, float64, float64, float64, float64[:, :])")
-def _polynomial(x: float, y: float, z: float, one: float, first: float, second: float, out: Floats) -> None:
-    """one I + first S + second S^2 of the cross-product matrix S of (x, y, z)."""
-    squared = x * x + y * y + z * z
-    diagonal = one - second * squared
-    out[0, 0], out[1, 1], out[2, 2] = diagonal + second * x * x, diagonal + second * y * y, diagonal + second * z * z
-    out[0, 1], out[1, 0] = second * x * y - first * z, second * x * y + first * z
-    out[0, 2], out[2, 0] = second * x * z + first * y, second * x * z - first * y
-    out[1, 2], out[2, 1] = second * y * z - first * x, second * y * z + first * x
+@jit("UniTuple(float64, 9)(float64, float64, float64, float64, float64, float64)")
+def _polynomial(x: float, y: float, z: float, one: float, first: float, second: float) -> Nine:
+    """one I + first S + second S^2 of the cross-product matrix S of (x, y, z), row by row."""
+    diagonal = one - second * (x * x + y * y + z * z)
+    return (
+        diagonal + second * x * x, second * x * y - first * z, second * x * z + first * y,
+        second * x * y + first * z, diagonal + second * y * y, second * y * z - first * x,
+        second * x * z - first * y, second * y * z + first * x, diagonal + second * z * z,
+    )  # fmt: skip
 
 
-@jit("void(float64, float64, float64, float64[:, :])")
-def left_jacobian(x: float, y: float, z: float, out: Floats) -> None:
-    """V(phi) = I + (1 - cos a)/a^2 S + (a - sin a)/a^3 S^2, a = |phi| (Sola et al., eq. 145), into ``out`` (3, 3).
+@jit("UniTuple(float64, 9)(float64, float64, float64)")
+def left_jacobian_entries(x: float, y: float, z: float) -> Nine:
+    """V(phi) = I + (1 - cos a)/a^2 S + (a - sin a)/a^3 S^2, a = |phi| (Sola et al., eq. 145), row by row.
 
     exp(phi + e) = exp(V(phi) e) exp(phi) to first order in e.
     """
     b, d = series(x * x + y * y + z * z)
-    _polynomial(x, y, z, 1.0, b, d, out)
+    return _polynomial(x, y, z, 1.0, b, d)
+
+
+@jit("void(float64, float64, float64, float64[:, :])")
+def left_jacobian(x: float, y: float, z: float, out: Floats) -> None:
+    """V(phi) (3, 3), into ``out``."""
+    _fill(left_jacobian_entries(x, y, z), out)
 
 
 @jit("void(float64, float64, float64, float64[:, :])")
 def left_jacobian_inverse(x: float, y: float, z: float, out: Floats) -> None:
     """V(phi)^-1 = I - S/2 + (1 - (a/2) cot(a/2))/a^2 S^2 (Sola et al., eq. 146), into ``out`` (3, 3)."""
     g, _ = inverse_series(x * x + y * y + z * z)
-    _polynomial(x, y, z, 1.0, -0.5, g, out)
+    _fill(_polynomial(x, y, z, 1.0, -0.5, g), out)

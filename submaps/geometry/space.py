@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from submaps._jit import jit
 from submaps.geometry import se2, se3, so3
-from submaps.geometry.trig import rotation_series, sincos
+from submaps.geometry.trig import arctan2, rotation_series, sincos
 
 Floats = NDArray[np.float64]
 Pose = tuple[float, ...]
@@ -112,6 +112,12 @@ class Space:
         out = np.empty((self.dim, self.dim))
         fill_left_jacobian(self.key, np.asarray(angles, dtype=np.float64), out)
         return out
+
+    def angles_of(self, R: Floats) -> Floats:
+        """The heading (1,) or rotation vector (3,) of a rotation matrix (dim, dim)."""
+        if self.dim == 2:
+            return np.array([arctan2(R[1, 0], R[0, 0])])
+        return np.array(so3.rotation_vector(so3.quaternion_of(np.ascontiguousarray(R))))
 
     def turn(self, point: Floats) -> Floats:
         """(dim, rot) matrix with exp(e) p = p + turn(p) e to first order: J p, or -S(p)."""

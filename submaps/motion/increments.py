@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from submaps._jit import jit
 from submaps.config import MotionConfig
 from submaps.filtering.predicting import accumulate, accumulate_in_space
-from submaps.filtering.workspace import workspace
 from submaps.geometry.space import SPACES, Key
 from submaps.measurements import Batch, Ints
 from submaps.motion import ackermann, bicycle, odometry, velocity
@@ -104,14 +103,13 @@ def dead_reckon(
 
     ``track`` (n, pose) receives the pose after each step; increment k belongs to ``control_step[k]``.
     """
-    w = workspace(space)
     k = 0
     for step in range(track.shape[0]):
         if k < control_step.shape[0] and control_step[k] == step:
             if len(space) == 2:
                 accumulate(pose, covariance, steps[k], noises[k])
             else:
-                accumulate_in_space(pose, covariance, steps[k], noises[k], w)
+                accumulate_in_space(pose, covariance, steps[k], noises[k])
             k += 1
         for i in range(pose.shape[0]):
             track[step, i] = pose[i]

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from submaps._jit import jit
 from submaps.geometry.trig import arctan2
 
-Floats = NDArray[np.float64]
-
 
 @jit()
-def predict(s: Floats, h: Floats, J: Floats) -> None:
-    """z = atan2(s_y, s_x) (rad) of a point s (m) in the sensor's frame, and dz/ds."""
-    squared = s[0] * s[0] + s[1] * s[1]
-    h[0] = arctan2(s[1], s[0])
-    J[0, 0], J[0, 1] = -s[1] / squared, s[0] / squared
+def predict(x: float, y: float) -> tuple[float, float, float]:
+    """z = atan2(s_y, s_x) (rad) of a point s = (x, y) m in the sensor's frame, and dz/ds."""
+    squared = x * x + y * y
+    return arctan2(y, x), -y / squared, x / squared

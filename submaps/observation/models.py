@@ -1,8 +1,9 @@
 """The table of observation models that the compiled kernel chooses from.
 
-A model knows the sensor's frame alone: h(s), dh/ds and the point that a reading shows. Here the sensor's mount
-is added: s = R_m^T (y - m), with y the landmark in the body frame. A ``sensor`` is the mount's position (dim)
-and rotation matrix (dim * dim, row by row), then fu, fv, cu, cv, baseline, and mean and sigma of a depth.
+A model knows the sensor's frame alone: h(s), dh/ds and the point that a reading shows; a Cartesian one shows s
+itself. Here the sensor's mount is added: s = R_m^T (y - m), with y the landmark in the body frame. A ``sensor``
+is the mount's position (dim) and rotation matrix (dim * dim, row by row), then fu, fv, cu, cv, baseline, and
+mean and sigma of a depth.
 """
 
 from __future__ import annotations
@@ -12,15 +13,25 @@ from numpy.typing import NDArray
 
 from submaps._jit import jit
 from submaps.config import ObservationConfig
-from submaps.filtering.workspace import Workspace, workspace
+from submaps.filtering.workspace import (
+    CARRIED,
+    INNER,
+    INNOVATION,
+    POINT,
+    PREDICTED,
+    READING_NOISE,
+    SEEN,
+    SLOPE,
+    SPREAD,
+    workspace,
+)
 from submaps.geometry import so3
 from submaps.geometry.space import Key, Space
 from submaps.geometry.trig import wrap
-from submaps.observation import bearing, cartesian, pinhole, range_bearing, stereo
+from submaps.observation import bearing, pinhole, range_bearing, stereo
 
 Floats = NDArray[np.float64]
 
-_cartesian_predict, _cartesian_invert = cartesian.predict, cartesian.invert
 _range_bearing_predict, _range_bearing_invert = range_bearing.predict, range_bearing.invert
 _bearing_predict = bearing.predict
 _stereo_predict, _stereo_invert = stereo.predict, stereo.invert
@@ -30,7 +41,7 @@ MODELS = {
     "cartesian": CARTESIAN, "cartesian3d": CARTESIAN, "range_bearing": RANGE_BEARING, "bearing": BEARING,
     "stereo": STEREO, "pinhole": PINHOLE,
 }  # fmt: skip
-_CAMERA, _DEPTH, _PARAMETERS = 0, 5, 7
+_DEPTH, _PARAMETERS = 5, 7  # place of the depth's prior among the parameters, and how many there are
 
 
 def sensor_of(space: Space, config: ObservationConfig) -> Floats:
@@ -55,7 +66,7 @@ def sensor_size(dim: int) -> int:
     return dim + dim * dim + _PARAMETERS
 
 
-@jit()
+@jit(inline=True)
 def channels(space: Key, model: int) -> int:
     """How many numbers a reading has."""
     if model == CARTESIAN:
@@ -65,95 +76,140 @@ def channels(space: Key, model: int) -> int:
     return 4 if model == STEREO else 2
 
 
-@jit()
-def predict(space: Key, model: int, sensor: Floats, w: Workspace) -> None:
-    """h(y) and dh/dy of the body-frame point ``w.point`` (m), into ``w.predicted`` and ``w.slope``."""
+@jit(inline=True)
+def predict(space: Key, model: int, sensor: Floats, at: int, w: Floats) -> None:
+    """h(y) and dh/dy of the body-frame point at ``POINT`` (m), to ``PREDICTED`` and ``SLOPE``.
+
+    The sensor begins at ``sensor[at]``.
+    """
     dim = len(space)
+    turn = at + dim
     for i in range(dim):
         total = 0.0
         for j in range(dim):
-            total += sensor[dim + j * dim + i] * (w.point[j] - sensor[j])
-        w.seen[i] = total
-    if model == CARTESIAN:
-        _cartesian_predict(w.seen, w.predicted, w.inner)
-    elif len(space) == 2:
-        if model == RANGE_BEARING:
-            _range_bearing_predict(w.seen, w.predicted, w.inner)
-        else:
-            _bearing_predict(w.seen, w.predicted, w.inner)
-    else:
-        camera = sensor[dim + dim * dim :]
-        if model == STEREO:
-            _stereo_predict(w.seen, camera, w.predicted, w.inner)
-        else:
-            _pinhole_predict(w.seen, camera, w.predicted, w.inner)
+            total += sensor[turn + j * dim + i] * (w[POINT + j] - sensor[at + j])
+        w[SEEN + i] = total
+    _in_sensor(space, model, sensor, turn + dim * dim, w)
     for a in range(channels(space, model)):
         for j in range(dim):
             total = 0.0
             for i in range(dim):
-                total += w.inner[a, i] * sensor[dim + j * dim + i]
-            w.slope[a, j] = total
+                total += w[INNER + dim * a + i] * sensor[turn + j * dim + i]
+            w[SLOPE + dim * a + j] = total
+
+
+@jit(inline=True)
+def _in_sensor(space: Key, model: int, sensor: Floats, optics: int, w: Floats) -> None:
+    """h(s) and dh/ds of the point at ``SEEN``, to ``PREDICTED`` and ``INNER``."""
+    dim = len(space)
+    x, y = w[SEEN], w[SEEN + 1]
+    if model == CARTESIAN:
+        for i in range(dim):
+            w[PREDICTED + i] = w[SEEN + i]
+            for j in range(dim):
+                w[INNER + dim * i + j] = 1.0 if i == j else 0.0
+    elif len(space) == 2:
+        if model == RANGE_BEARING:
+            w[PREDICTED], w[PREDICTED + 1], w[INNER], w[INNER + 1], w[INNER + 2], w[INNER + 3] = _range_bearing_predict(
+                x, y
+            )
+        else:
+            w[PREDICTED], w[INNER], w[INNER + 1] = _bearing_predict(x, y)
+    else:
+        z, fu, fv, cu, cv = w[SEEN + 2], sensor[optics], sensor[optics + 1], sensor[optics + 2], sensor[optics + 3]
+        if model == STEREO:
+            u, v, right, ux, vy, uz, vz, rz = _stereo_predict(x, y, z, fu, fv, cu, cv, sensor[optics + 4])
+            w[PREDICTED], w[PREDICTED + 1], w[PREDICTED + 2], w[PREDICTED + 3] = u, v, right, v
+            w[INNER], w[INNER + 1], w[INNER + 2] = ux, 0.0, uz
+            w[INNER + 3], w[INNER + 4], w[INNER + 5] = 0.0, vy, vz
+            w[INNER + 6], w[INNER + 7], w[INNER + 8] = ux, 0.0, rz
+            w[INNER + 9], w[INNER + 10], w[INNER + 11] = 0.0, vy, vz
+        else:
+            u, v, ux, uy, uz, vx, vy, vz = _pinhole_predict(x, y, z, fu, fv, cu, cv)
+            w[PREDICTED], w[PREDICTED + 1] = u, v
+            w[INNER], w[INNER + 1], w[INNER + 2] = ux, uy, uz
+            w[INNER + 3], w[INNER + 4], w[INNER + 5] = vx, vy, vz
 
 
 @jit()
-def invert(space: Key, model: int, sensor: Floats, z: Floats, R: Floats, w: Workspace) -> int:
-    """The body-frame point (m) that a reading shows, into ``w.point``; how many numbers it follows from.
+def invert(space: Key, model: int, sensor: Floats, at: int, z: Floats, zat: int, R: Floats, w: Floats) -> int:
+    """The body-frame point (m) that the reading at ``z[zat]`` shows, to ``POINT``; how many numbers it follows from.
 
-    ``w.spread`` is its slope by those numbers, ``w.whitened`` their covariance: the reading's, and after it
+    ``SPREAD`` is its slope by those numbers, ``READING_NOISE`` their covariance: the reading's, and with it
     the prior of what a single reading leaves open.
     """
-    dim = len(space)
-    parameters, count = sensor[dim + dim * dim :], channels(space, model)
-    depth, variance = parameters[_DEPTH], parameters[_DEPTH + 1] * parameters[_DEPTH + 1]
+    dim, count = len(space), channels(space, model)
     for a in range(count):
         for b in range(count):
-            w.whitened[a, b] = R[a, b]
+            w[READING_NOISE + 4 * a + b] = R[a, b]
     if model == CARTESIAN:
-        _cartesian_invert(z, w.seen, w.carried)
+        for i in range(dim):
+            w[SEEN + i] = z[zat + i]
+            for j in range(dim):
+                w[CARRIED + 4 * i + j] = 1.0 if i == j else 0.0
     elif len(space) == 2:
-        if model == BEARING:  # as a range, known by its prior, and a bearing
-            count = 2
-            w.whitened[1, 1], w.whitened[0, 0], w.whitened[0, 1], w.whitened[1, 0] = R[0, 0], variance, 0.0, 0.0
-            _range_bearing_invert(depth, z[0], w.seen, w.carried)
-        else:
-            _range_bearing_invert(z[0], z[1], w.seen, w.carried)
-    elif model == STEREO:
-        _stereo_invert(z, parameters, w.seen, w.carried)
+        count = _invert_in_plane(model, sensor, at + dim + dim * dim, z, zat, w)
     else:
-        count = 3
-        w.whitened[2, :3], w.whitened[:3, 2], w.whitened[2, 2] = 0.0, 0.0, variance
-        _pinhole_invert(z[0], z[1], depth, parameters, w.seen, w.carried)
+        count = _invert_in_space(model, sensor, at + dim + dim * dim, z, zat, w)
     for i in range(dim):
-        total = sensor[i]
+        total = sensor[at + i]
         for j in range(dim):
-            total += sensor[dim + i * dim + j] * w.seen[j]
-        w.point[i] = total
-    turn_columns(space, sensor[dim : dim + dim * dim].reshape(dim, dim), count, w.carried, w.spread)
+            total += sensor[at + dim + i * dim + j] * w[SEEN + j]
+        w[POINT + i] = total
+        for b in range(count):
+            total = 0.0
+            for k in range(dim):
+                total += sensor[at + dim + i * dim + k] * w[CARRIED + 4 * k + b]
+            w[SPREAD + 4 * i + b] = total
     return count
 
 
 @jit()
-def turn_columns(space: Key, A: Floats, count: int, B: Floats, out: Floats) -> None:
-    """out <- A B, of (dim, dim) and the first ``count`` columns of B."""
-    dim = len(space)
-    for i in range(dim):
-        for b in range(count):
-            total = 0.0
-            for k in range(dim):
-                total += A[i, k] * B[k, b]
-            out[i, b] = total
+def _invert_in_plane(model: int, sensor: Floats, optics: int, z: Floats, zat: int, w: Floats) -> int:
+    if model == BEARING:  # a range, known by its prior, and a bearing
+        r, b = sensor[optics + _DEPTH], z[zat]
+        w[READING_NOISE + 5] = w[READING_NOISE]
+        w[READING_NOISE] = sensor[optics + _DEPTH + 1] * sensor[optics + _DEPTH + 1]
+        w[READING_NOISE + 1] = w[READING_NOISE + 4] = 0.0
+    else:
+        r, b = z[zat], z[zat + 1]
+    w[SEEN], w[SEEN + 1], w[CARRIED], w[CARRIED + 1], w[CARRIED + 4], w[CARRIED + 5] = _range_bearing_invert(r, b)
+    return 2
 
 
 @jit()
-def innovate(space: Key, model: int, z: Floats, w: Workspace) -> None:
-    """z - h into ``w.innovation``, with a bearing's difference wrapped to [-pi, pi)."""
-    count = channels(space, model)
-    for a in range(count):
-        w.innovation[a] = z[a] - w.predicted[a]
+def _invert_in_space(model: int, sensor: Floats, optics: int, z: Floats, zat: int, w: Floats) -> int:
+    fu, fv, cu, cv = sensor[optics], sensor[optics + 1], sensor[optics + 2], sensor[optics + 3]
+    J = CARRIED
+    for i in range(12):
+        w[J + i] = 0.0
+    if model == STEREO:
+        left, right, row = z[zat], z[zat + 2], 0.5 * (z[zat + 1] + z[zat + 3])
+        b = sensor[optics + 4]
+        w[SEEN], w[SEEN + 1], w[SEEN + 2], xu, yu, zu, yv = _stereo_invert(left, row, right, fu, fv, cu, cv, b)
+        w[J], w[J + 2] = xu + w[SEEN + 2] / fu, -xu
+        w[J + 4], w[J + 5], w[J + 6], w[J + 7] = yu, 0.5 * yv, -yu, 0.5 * yv
+        w[J + 8], w[J + 10] = zu, -zu
+        return 4
+    depth, sigma = sensor[optics + _DEPTH], sensor[optics + _DEPTH + 1]
+    x, y = _pinhole_invert(z[zat], z[zat + 1], fu, fv, cu, cv)
+    w[SEEN], w[SEEN + 1], w[SEEN + 2] = depth * x, depth * y, depth
+    w[J], w[J + 2], w[J + 5], w[J + 6], w[J + 10] = depth / fu, x, depth / fv, y, 1.0
+    for a in range(2):
+        w[READING_NOISE + 4 * a + 2] = w[READING_NOISE + 8 + a] = 0.0
+    w[READING_NOISE + 10] = sigma * sigma
+    return 3
+
+
+@jit(inline=True)
+def innovate(space: Key, model: int, z: Floats, zat: int, w: Floats) -> None:
+    """z - h to ``INNOVATION``, with a bearing's difference wrapped to [-pi, pi)."""
+    for a in range(channels(space, model)):
+        w[INNOVATION + a] = z[zat + a] - w[PREDICTED + a]
     if model == RANGE_BEARING:
-        w.innovation[1] = wrap(w.innovation[1])
+        w[INNOVATION + 1] = wrap(w[INNOVATION + 1])
     elif model == BEARING:
-        w.innovation[0] = wrap(w.innovation[0])
+        w[INNOVATION] = wrap(w[INNOVATION])
 
 
 @jit(
@@ -162,11 +218,11 @@ def innovate(space: Key, model: int, z: Floats, w: Workspace) -> None:
 )
 def reading(space: Key, model: int, sensor: Floats, y: Floats) -> tuple[Floats, Floats]:
     """h(y) (channels,) and dh/dy (channels, dim) of a body-frame point y (dim,), m."""
-    w = workspace(space)
-    count = channels(space, model)
-    w.point[:] = y
-    predict(space, model, sensor, w)
-    return w.predicted[:count].copy(), w.slope[:count].copy()
+    w, dim, count = workspace(), len(space), channels(space, model)
+    w[POINT : POINT + dim] = y
+    predict(space, model, sensor, 0, w)
+    slope = w[SLOPE : SLOPE + count * dim].copy()
+    return w[PREDICTED : PREDICTED + count].copy(), slope.reshape(count, dim)
 
 
 @jit(
@@ -178,7 +234,14 @@ def shown(space: Key, model: int, sensor: Floats, z: Floats, R: Floats) -> tuple
 
     What the reading leaves open comes from the prior on depth.
     """
-    w = workspace(space)
-    count = invert(space, model, sensor, z, R, w)
-    J = w.spread[:, :count].copy()
-    return w.point.copy(), J @ w.whitened[:count, :count].copy() @ J.T
+    w, dim = workspace(), len(space)
+    count = invert(space, model, sensor, 0, z, 0, R, w)
+    J = w[SPREAD : SPREAD + 4 * dim].copy().reshape(dim, 4)
+    noise = w[READING_NOISE : READING_NOISE + 16].copy().reshape(4, 4)
+    out = np.zeros((dim, dim))
+    for i in range(dim):
+        for j in range(dim):
+            for a in range(count):
+                for b in range(count):
+                    out[i, j] += J[i, a] * noise[a, b] * J[j, b]
+    return w[POINT : POINT + dim].copy(), out

@@ -1,50 +1,41 @@
 """Stereo: pixels of one point in two calibrated cameras side by side.
 
-The left camera is the sensor: z ahead, x to the right, y down; the right one lies ``b`` m along x. ``camera``
-is (fu, fv, cu, cv) in pixels and b.
+The left camera is the sensor: z ahead, x to the right, y down; the right one lies ``b`` m along x. Focal
+lengths and principal point in pixels.
 """
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from submaps._jit import jit
 
-Floats = NDArray[np.float64]
+Eight = tuple[float, float, float, float, float, float, float, float]
+Seven = tuple[float, float, float, float, float, float, float]
 
 
 @jit()
-def predict(s: Floats, camera: Floats, h: Floats, J: Floats) -> None:
-    """z = (fu x/z + cu, fv y/z + cv, fu (x - b)/z + cu, fv y/z + cv) of a point s (m), and dz/ds.
+def predict(x: float, y: float, z: float, fu: float, fv: float, cu: float, cv: float, b: float) -> Eight:
+    """(fu x/z + cu, fv y/z + cv, fu (x - b)/z + cu) of a point (x, y, z) m: u and v left, u right; v right is v left.
 
-    Not a number behind the cameras; the kernel reports that as singular.
+    After them the slopes du/dx, dv/dy, du/dz, dv/dz and that of u right by z; du_right/dx is du/dx. Not a number
+    behind the cameras; the kernel reports that as singular.
     """
-    inverse = 1.0 / s[2] if s[2] > 0.0 else math.nan
-    x, y, right = s[0] * inverse, s[1] * inverse, (s[0] - camera[4]) * inverse
-    h[0], h[1], h[2] = camera[0] * x + camera[2], camera[1] * y + camera[3], camera[0] * right + camera[2]
-    h[3] = h[1]
-    J[0, 0], J[0, 1], J[0, 2] = camera[0] * inverse, 0.0, -camera[0] * x * inverse
-    J[1, 0], J[1, 1], J[1, 2] = 0.0, camera[1] * inverse, -camera[1] * y * inverse
-    J[2, 0], J[2, 1], J[2, 2] = camera[0] * inverse, 0.0, -camera[0] * right * inverse
-    J[3, 0], J[3, 1], J[3, 2] = J[1, 0], J[1, 1], J[1, 2]
+    inverse = 1.0 / z if z > 0.0 else math.nan
+    u, v, right = fu * x * inverse, fv * y * inverse, fu * (x - b) * inverse
+    return u + cu, v + cv, right + cu, fu * inverse, fv * inverse, -u * inverse, -v * inverse, -right * inverse
 
 
 @jit()
-def invert(z: Floats, camera: Floats, s: Floats, J: Floats) -> None:
-    """s = b/(u_l - u_r) (u_l - cu, fu/fv (v - cv), fu) (m) with v the mean of both rows, and ds/dz.
+def invert(u: float, v: float, right: float, fu: float, fv: float, cu: float, cv: float, b: float) -> Seven:
+    """The point b/(u - u_right) (u - cu, fu/fv (v - cv), fu) (m), v the mean of both rows.
 
-    The lecture's depth from a correspondence, for cameras side by side. Not a number where the disparity
-    is not above 0, which the kernel reports as singular.
+    The lecture's depth from a correspondence, for cameras side by side. After it the slopes of x, y and z by u
+    (that by u_right is the opposite, but for x's own), and that of y by v. Not a number where the disparity is
+    not above 0, which the kernel reports as singular.
     """
-    disparity = z[0] - z[2]
-    k = camera[4] / disparity if 0.0 < disparity < math.inf else math.nan
-    ratio = camera[0] / camera[1]
-    left, row = z[0] - camera[2], ratio * (0.5 * (z[1] + z[3]) - camera[3])
-    s[0], s[1], s[2] = k * left, k * row, k * camera[0]
-    by_disparity = -k / disparity
-    J[0, 0], J[0, 1], J[0, 2], J[0, 3] = k + by_disparity * left, 0.0, -by_disparity * left, 0.0
-    J[1, 0], J[1, 1], J[1, 2], J[1, 3] = by_disparity * row, 0.5 * k * ratio, -by_disparity * row, 0.5 * k * ratio
-    J[2, 0], J[2, 1], J[2, 2], J[2, 3] = by_disparity * camera[0], 0.0, -by_disparity * camera[0], 0.0
+    disparity = u - right
+    k = b / disparity if 0.0 < disparity < math.inf else math.nan
+    along, ratio = -k / disparity, fu / fv
+    row = ratio * (v - cv)
+    return k * (u - cu), k * row, k * fu, along * (u - cu), along * row, along * fu, k * ratio

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 from submaps.config import FilterName, MapConfig, MotionConfig, ObservationConfig
 from submaps.mapper import Mapper
 from submaps.measurements import Batch
-from tests.core.support import Kernel, R, after
+from tests.core.filters import SENSORS, Kernel
+from tests.core.support import R, after
 
 Floats = NDArray[np.float64]
 LANDMARKS = 6
@@ -89,7 +91,7 @@ def test_symmetric_bit_for_bit_after_many_updates() -> None:
     noise = np.diag([1e-6, 1e-6, 1e-6])
     poses, increment = route(60)
     for invariant in (True, False):
-        compiled = Kernel(invariant, "cartesian", mount=(0.0, 0.0, 0.0))
+        compiled = Kernel(invariant, replace(SENSORS["cartesian"], mount=(0.0, 0.0, 0.0)))
         for k in range(3000):
             pose, landmark = poses[k % 60], k % LANDMARKS
             z = (WORLD[landmark] - pose[:2]) @ R(pose[2]) + rng.normal(size=2) * 1e-3

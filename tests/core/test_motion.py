@@ -336,12 +336,11 @@ def test_accumulated_increments_predict_like_each_in_turn(invariant: bool) -> No
     steps = np.random.default_rng(3).normal(size=(20, 3)) * (1.0, 0.3, 0.5)
     noises = np.stack([random_covariance(np.random.default_rng(k), 3, 0.05) for k in range(20)])
     once, each = generic(np.random.default_rng(4), 3), generic(np.random.default_rng(4), 3)
-    dead_reckon(
-        PLANE.key, once.motion[2:5], once.motion[5:].reshape(3, 3), steps, noises, np.arange(20), np.empty((20, 3))
-    )
+    pending, noise = once.motion[2:5], once.motion[5:].reshape(3, 3)
+    dead_reckon(PLANE.key, pending, noise, steps, noises, np.arange(20), np.empty((20, 3)))
     flush(once.space.key, once.x, once.P, once.counts, once.motion, int(invariant), once.scratch)
-    for step, noise in zip(steps, noises, strict=True):
-        each.motion[:3], each.motion[3:12] = step, noise.ravel()
+    for step, own in zip(steps, noises, strict=True):
+        each.motion[2:5], each.motion[5:] = step, own.ravel()
         flush(each.space.key, each.x, each.P, each.counts, each.motion, int(invariant), each.scratch)
     n = once.dimension
     assert np.allclose(once.x[:n], each.x[:n], rtol=0.0, atol=1e-12)

@@ -53,7 +53,11 @@ def test_derivatives_agree_with_central_differences(name: str) -> None:
     sensor = SENSORS[name]
     for y in points(name):
         h, H = ours(sensor, y)
-        numeric = jacobian(lambda v, h=h: difference(sensor, ours(sensor, v)[0], h), y)
+
+        def change(v: Floats, h: Floats = h) -> Floats:
+            return difference(sensor, ours(sensor, v)[0], h)
+
+        numeric = jacobian(change, y)
         assert np.abs(H - numeric).max() <= 1e-6 * np.abs(H).max()
 
 
@@ -70,7 +74,11 @@ def test_a_measurement_inverted_is_the_point_with_its_noise_carried_over(name: s
         if sensor.depth is None:
             assert np.allclose(point, y, rtol=1e-12, atol=1e-11)
         assert np.allclose(point, filters.shown(sensor, state, z), rtol=1e-12)
-        J = jacobian(lambda v, state=state: filters.shown(sensor, state, v), z, 1e-3)
+
+        def point_of(v: Floats, state: Floats = state) -> Floats:
+            return filters.shown(sensor, state, v)
+
+        J = jacobian(point_of, z, 1e-3)
         assert np.allclose(W, J @ noise @ J.T, rtol=1e-7, atol=1e-12)
 
 

@@ -10,8 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays_of
 
-from service.store.encoding import EncodingError, decode_batch, digest, encode_batch, pack, unpack
-from submaps.measurements import Batch
+from service.store.encoding import (
+    EncodingError,
+    decode_batch,
+    decode_track,
+    digest,
+    encode_batch,
+    encode_track,
+    pack,
+    unpack,
+)
+from submaps.measurements import Batch, Report
 
 FLOATS = st.floats(width=64)
 
@@ -19,8 +28,9 @@ FLOATS = st.floats(width=64)
 @st.composite
 def any_batches(draw: st.DrawFn) -> Batch:
     """Draw a batch: its content need not make sense to a map."""
-    n, c, m = draw(st.integers(1, 6)), draw(st.integers(0, 5)), draw(st.integers(0, 5))
-    d = draw(st.integers(2, 3))
+    n, m = draw(st.integers(1, 6)), draw(st.integers(0, 5))
+    d, channels = draw(st.sampled_from([0, 2, 3, 6])), draw(st.integers(1, 4))
+    c = draw(st.integers(0, 5)) if d else 0  # without motion there are no controls
 
     def numbers(*shape: int) -> Any:
         return draw(arrays_of.arrays(np.float64, shape, elements=FLOATS))
@@ -33,8 +43,8 @@ def any_batches(draw: st.DrawFn) -> Batch:
         control_covariance=numbers(c, d, d) if draw(st.booleans()) else None,
         observation_step=steps(m),
         landmark=tuple(draw(st.lists(st.text(min_size=1), min_size=m, max_size=m))),
-        z=numbers(2, m),
-        observation_covariance=numbers(m, 2, 2) if draw(st.booleans()) else None,
+        z=numbers(channels, m),
+        observation_covariance=numbers(m, channels, channels) if draw(st.booleans()) else None,
     )  # fmt: skip
 
 
@@ -67,6 +77,27 @@ def test_a_digest_tells_batches_apart(one: Batch, other: Batch) -> None:
     same = encode_batch(one) == encode_batch(other)
     assert (digest(encode_batch(one)) == digest(encode_batch(other))) == same
     assert encode_batch(decode_batch(encode_batch(one))) == encode_batch(one)
+
+
+@pytest.mark.parametrize("pose", [3, 6])
+def test_a_track_comes_back_in_the_plane_and_in_space(pose: int) -> None:
+    random = np.random.default_rng(pose)
+    t, track, odom = np.arange(4.0), random.normal(size=(4, pose)), random.normal(size=(4, pose))
+    report = Report(2, 3.0, tuple(track[-1].tolist()), (), (), np.array([0, 0, 1, 2], dtype=np.int32), track, odom)
+    again = decode_track(encode_track(t, report))
+    for found, given_ in ((again.t, t), (again.submap, report.track_submap), (again.pose, track), (again.odom, odom)):
+        np.testing.assert_array_equal(found, given_)
+
+
+def test_a_batch_as_it_was_written_before_there_was_space_is_read() -> None:
+    """Header and arrays of a batch of the plane, as every journal so far holds them."""
+    arrays = {
+        "t": np.array([0.5]), "control_step": np.array([0]), "control": np.array([[1.0], [0.0], [0.1]]),
+        "observation_step": np.array([0]), "z": np.array([[2.0], [3.0]]),
+    }  # fmt: skip
+    batch = decode_batch(pack("batch", arrays, landmark=["7"]))
+    assert (batch.control.shape, batch.z.tolist(), batch.landmark) == ((3, 1), [[2.0], [3.0]], ("7",))
+    assert encode_batch(batch) == pack("batch", arrays, landmark=("7",))
 
 
 @given(st.data())

@@ -21,7 +21,7 @@ from service.store.sqlite import SqliteJournal
 from service.wire.base import parse
 from service.wire.columns import ROWS_TYPE, decode
 from service.wire.maps import MAP_REQUEST
-from service.wire.robots import ROBOT, RobotSettingsAnswer
+from service.wire.robots import ROBOTS, RobotSettingsAnswer
 from submaps.config import MotionConfig, ObservationConfig, RobotConfig, Start
 from submaps.measurements import Batch
 from tests.service.support import BICYCLE_MAP, CAR_MAP, ODOMETRY_MAP, VELOCITY_MAP, Api, Json, batches, problem, serving
@@ -164,8 +164,8 @@ def test_settings_come_back_bit_for_bit() -> None:
         covariance = (np.reshape(root, (3, 3)) @ np.reshape(root, (3, 3)).T + np.eye(3)).tolist()
         start = {"frame": "submap/7", "x": x, "y": y, "theta": theta, "covariance": covariance}
         body = {"motion": CAR_MAP["motion"], "observation": CAR_MAP["observation"], "start": start}
-        settings = parse(ROBOT, json.dumps(body).encode())
-        again = parse(ROBOT, settings.model_dump_json().encode())
+        settings = parse(ROBOTS["se2"], json.dumps(body).encode())
+        again = parse(ROBOTS["se2"], settings.model_dump_json().encode())
         assert again == settings
         assert again.to_core() == settings.to_core()
 

@@ -179,7 +179,7 @@ def test_nees_turns_with_the_alignment() -> None:
     covariance = np.diag([1.0, 1e-4, 1e-6])
     error = random.normal(size=(n, 3)) * np.sqrt(np.diagonal(covariance))
     pose = np.column_stack([10.0 * random.normal(size=(n, 2)), random.uniform(-3.0, 3.0, n)])
-    quarter = Alignment(2.0, 3.0, np.pi / 2, 0.0, 0.0)
+    quarter = Alignment((2.0, 3.0, np.pi / 2), 0.0, 0.0)
     truth = np.column_stack([quarter.apply(pose[:, :2]), wrapped(pose[:, 2] + np.pi / 2)])
     nees = pose_nees(pose + error, np.tile(covariance, (n, 1, 1)), truth, quarter)
     assert nees == pytest.approx(1.0, abs=4.0 * (2.0 / (3 * n)) ** 0.5)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import networkx as nx
 import numpy as np
@@ -19,7 +20,9 @@ from service.replaying import replay
 from service.standalone import own_service
 from submaps.batch import optimum
 from submaps.config import MotionConfig, ObservationConfig
+from submaps.geometry import so3
 from submaps.geometry.se2 import between, compose, inverse
+from submaps.geometry.space import SOLID, Pose
 from submaps.simulation import circle, drive
 
 Floats = NDArray[np.float64]
@@ -199,3 +202,69 @@ def test_comments_say_the_names_of_the_landmarks(graph: nx.DiGraph) -> None:
     named = [line.split()[1:] for line in lines if line.startswith("#")]
     assert {name for _, _, name in named} == {str(k) for k in range(20)}
     assert [line for line in lines if line.startswith("FIX")] == ["FIX 0\n"]
+
+
+# -- in space ------------------------------------------------------------------------------------
+
+SQUARE_ROOT = np.random.default_rng(6).normal(size=(6, 6))
+FRAMES: list[Pose] = [SOLID.origin, (1.0, 2.0, 0.5, 0.3, -0.8, 1.4)]
+SPREAD = SQUARE_ROOT @ SQUARE_ROOT.T
+SPACE_EDGE: dict[str, Any] = {"z": (1.1, 1.9, 0.4, 0.25, -0.85, 1.45), "covariance": SPREAD.tolist()}
+SEEN_EDGE: dict[str, Any] = {"z": (0.5, -0.25, 2.0), "covariance": [[0.5, 0.1, 0], [0.1, 0.4, 0], [0, 0, 0.25]]}
+
+
+@pytest.fixture(scope="module")
+def in_space() -> nx.DiGraph:
+    """Two frames and a landmark."""
+    graph = nx.DiGraph()
+    for k, pose in enumerate(FRAMES):
+        graph.add_node(("submap", k), pose=pose)
+    graph.add_node(("landmark", "oak"), point=(0.5, -0.2, 2.1))
+    graph.add_edge(("submap", 0), ("submap", 1), **SPACE_EDGE)
+    graph.add_edge(("submap", 0), ("landmark", "oak"), **SEEN_EDGE)
+    return graph
+
+
+def numbers_after(lines: list[str], tag: str, ids: int) -> Floats:
+    (line,) = (line.split() for line in lines if line.startswith(f"{tag} "))
+    return np.array([float(word) for word in line[1 + ids :]])
+
+
+def symmetric(triangle: Floats, size: int) -> Floats:
+    upper = np.zeros((size, size))
+    upper[np.triu_indices(size)] = triangle
+    whole: Floats = upper + np.triu(upper, 1).T
+    return whole
+
+
+def test_a_map_in_space_has_the_tags_of_space(in_space: nx.DiGraph) -> None:
+    lines = list(as_g2o(in_space))
+    tags = [line.split()[0] for line in lines]
+    assert tags == [
+        "PARAMS_SE3OFFSET", "VERTEX_SE3:QUAT", "VERTEX_SE3:QUAT", "FIX", "#", "VERTEX_TRACKXYZ", "EDGE_SE3:QUAT",
+        "EDGE_SE3_TRACKXYZ",
+    ]  # fmt: skip
+    assert lines[0].split()[1:] == ["0", *"000", *"0001"]
+    vertex = np.array([float(word) for word in lines[2].split()[2:]])
+    np.testing.assert_allclose(vertex[:3], FRAMES[1][:3])
+    np.testing.assert_allclose(vertex[3:], so3.quaternion(*FRAMES[1][3:]))
+    # The vertex, the landmark, and the offset that is none.
+    assert lines[-1].split()[1:4] == ["0", "2", "0"]
+    seen = numbers_after(lines, "EDGE_SE3_TRACKXYZ", 3)
+    np.testing.assert_allclose(seen[:3], SEEN_EDGE["z"])
+    np.testing.assert_allclose(symmetric(seen[3:], 3) @ SEEN_EDGE["covariance"], np.eye(3), atol=1e-12)
+
+
+def test_the_information_in_space_is_that_of_g2os_own_error(in_space: nx.DiGraph) -> None:
+    """Its error is the translation and the quaternion's vector part of Z^-1 X, here by differences."""
+    line, h = numbers_after(list(as_g2o(in_space)), "EDGE_SE3:QUAT", 2), 1e-6
+    z = SOLID.as_pose(np.array(SPACE_EDGE["z"]))
+    np.testing.assert_allclose(line[3:7], so3.quaternion(*z[3:]))
+    by = np.empty((6, 6))
+    for axis, e in enumerate(h * np.eye(6)):
+        turned = SOLID.compose((0.0, 0.0, 0.0, *e[3:].tolist()), (0.0, 0.0, 0.0, *z[3:]))
+        delta = SOLID.between(z, (*np.add(z[:3], e[:3]).tolist(), *turned[3:]))
+        by[:, axis] = np.array([*delta[:3], *so3.quaternion(*delta[3:])[:3]]) / h
+    expected = np.linalg.inv(by @ np.array(SPACE_EDGE["covariance"]) @ by.T)
+    scale = np.sqrt(np.outer(np.diagonal(expected), np.diagonal(expected)))
+    np.testing.assert_allclose(symmetric(line[7:], 6) / scale, expected / scale, atol=1e-5)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pytest
 
@@ -41,3 +42,25 @@ def test_maps_of_any_size_are_drawn(poses: int, robots: int, tmp_path: Path) -> 
     path = tmp_path / "map.png"
     draw(atlas, path)
     assert path.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("poses", [0, 40])
+def test_a_map_in_space_is_drawn_from_above(poses: int, tmp_path: Path) -> None:
+    random = np.random.default_rng(1)
+    way = Trajectory(np.arange(poses, dtype=np.float64), np.cumsum(random.normal(size=(poses, 6)), axis=0))
+    root = random.normal(size=(poses, 3, 3))
+    atlas = Atlas(
+        name="any",
+        counts={"steps": poses, "observations": 0, "landmarks": poses, "submaps": poses},
+        tracks=[Track("r1", way, np.arange(poses))],
+        frames=way.poses,
+        landmarks=5.0 * random.normal(size=(poses, 3)),
+        covariances=root @ root.transpose(0, 2, 1),
+        unconnected=[],
+    )
+    path = tmp_path / "map.svg"
+    with matplotlib.rc_context({"svg.fonttype": "none"}):
+        draw(atlas, path)
+    drawn = path.read_text()
+    assert "any, seen from above (x, y)" in drawn
+    assert "sub-map frame: z" in drawn
