@@ -83,17 +83,17 @@ def _predict_often(
     space: Key, x: Floats, P: Floats, n: int, increment: Floats, noise: Floats, invariant: bool, scratch: Floats,
     times: int,
 ) -> None:  # fmt: skip
-    U, w = scratch[: 2 * len(space) - 3], workspace(space)
+    U = scratch[: 2 * len(space) - 3]
     for _ in range(times):
         if not invariant:
-            predict_standard(space, x, P, n, increment, noise, w)
-        elif predict_invariant(space, x, P, n, increment, noise, U, w):
+            predict_standard(space, x, P, n, increment, noise)
+        elif predict_invariant(space, x, P, n, increment, noise, U):
             add(space, P, n, U)
 
 
 @jit(
     *(
-        "int64(" + key + _STATE + "int64[::1], int64, float64[::1], float64[:, ::1], float64[:, ::1], boolean,"
+        "int64(" + key + _STATE + "int64[::1], int64, float64[::1], float64[::1], float64[:, ::1], boolean,"
         " float64[:, ::1])"
         for key in _KEYS
     )
@@ -102,11 +102,28 @@ def _update_each(
     space: Key, x: Floats, P: Floats, n: int, slots: Ints, model: int, sensor: Floats, z: Floats, R: Floats,
     invariant: bool, scratch: Floats,
 ) -> int:  # fmt: skip
-    rot, w, used = 2 * len(space) - 3, workspace(space), 0
-    U, A = scratch[:rot], scratch[rot:]
+    rot, w, used = 2 * len(space) - 3, workspace(), 0
+    U, A, channels = scratch[:rot], scratch[rot:], z.shape[0] // slots.shape[0]
     for i in range(slots.shape[0]):
         status, _ = _update(
-            space, x, P, n, slots[i], model, sensor, z[i], R, math.inf, math.inf, invariant, U, False, A, w
+            space,
+            x,
+            P,
+            n,
+            slots[i],
+            model,
+            sensor,
+            0,
+            z,
+            i * channels,
+            R,
+            math.inf,
+            math.inf,
+            invariant,
+            U,
+            False,
+            A,
+            w,
         )
         used += status == USED
     return used
@@ -120,7 +137,7 @@ def _update_each(
 def _append(
     space: Key, x: Floats, P: Floats, n: int, model: int, sensor: Floats, z: Floats, R: Floats, invariant: bool
 ) -> bool:
-    return bool(_augment(space, x, P, n, model, sensor, z, R, invariant, workspace(space)))
+    return bool(_augment(space, x, P, n, model, sensor, 0, z, 0, R, invariant, workspace()))
 
 
 class KernelFilter:
@@ -172,6 +189,6 @@ class KernelFilter:
         """Readings z (m, c) of the landmarks at ``slots`` (m,), one after the other; how many were used."""
         state = self._x, self._P, self.size
         used = _update_each(
-            self.space.key, *state, slots, self._model, self._sensor, z, R, self._invariant, self._scratch
+            self.space.key, *state, slots, self._model, self._sensor, z.ravel(), R, self._invariant, self._scratch
         )
         return int(used)
