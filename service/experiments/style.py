@@ -7,10 +7,10 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from service.exporters.picture import FAINT, FORWARD, INK, LEFT, PAPER, SUBMAPS, TREE
+from service.exporters.picture import AXES, FAINT, INK, PAPER, SUBMAPS, TREE
 
 # One hue for each filter, in every picture.
-STANDARD, INVARIANT, ATLAS = FORWARD, TREE, LEFT
+STANDARD, INVARIANT, ATLAS = AXES[0], TREE, AXES[1]
 SECOND, EXACT, THIRD = SUBMAPS[0], SUBMAPS[1], SUBMAPS[3]
 HUES = (STANDARD, INVARIANT, ATLAS, SECOND, EXACT, THIRD, SUBMAPS[4])
 
