@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from submaps.association.candidates import Candidates, candidates
-from submaps.association.planar import planar
-from submaps.geometry.se2 import compose
-from submaps.geometry.trig import rotation_series, wrap
-from submaps.observation.models import MODELS, invert
+from submaps.association.readings import predicted_readings
+from submaps.geometry.space import PLANE
+from submaps.geometry.trig import wrap
+from submaps.observation.models import MODELS, body_sensor, shown
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 _MODEL = MODELS["range_bearing"]
-_BODY = np.array([0.0, 0.0, 1.0, 0.0])
+_BODY = body_sensor(PLANE)
 _J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
@@ -38,8 +36,8 @@ class OneMap:
 
     def predict(self, increment: Floats, noise: Floats) -> None:
         """Through a body-frame increment (3,) with noise Q (3, 3): F = I, G = (R, -J p; 0, 1; 0, -J l_i)."""
-        R = _rotation(self.x[2])
-        self.x[:3] = compose(tuple(self.x[:3]), tuple(increment))
+        R = PLANE.rotation(self.x[:3])
+        self.x[:3] = PLANE.compose(PLANE.as_pose(self.x), PLANE.as_pose(increment))
         G = np.zeros((self.x.shape[0], 3))
         G[:2, :2], G[2, 2] = R, 1.0
         G[:2, 2] = -_J @ self.x[:2]
@@ -48,7 +46,8 @@ class OneMap:
 
     def candidates(self, z: Floats, noise: Floats) -> Candidates:
         """Readings (m, 2) of covariance (2, 2) against every landmark."""
-        readings = planar(self.x, np.ascontiguousarray(self.P), len(self.landmarks), _MODEL, _BODY, True)
+        P = np.ascontiguousarray(self.P)
+        readings = predicted_readings(PLANE, self.x, P, len(self.landmarks), _MODEL, _BODY, 2, True)
         return candidates(readings, z, noise[np.newaxis])
 
     def update(self, seen: Candidates, observations: Ints, landmarks: Ints) -> None:
@@ -65,19 +64,18 @@ class OneMap:
 
     def _retract(self, xi: Floats) -> None:
         """p and l_i <- R(xi_theta) . + V(xi_theta) xi, theta <- theta + xi_theta."""
-        R, V = _rotation(xi[2]), _left(xi[2])
+        R, V = PLANE.rotation(xi[:3]), PLANE.left_jacobian(xi[2:3])
         self.x[:2] = R @ self.x[:2] + V @ xi[:2]
         self.x[2] = wrap(self.x[2] + xi[2])
         self.x[3:] = (self.landmarks @ R.T + xi[3:].reshape(-1, 2) @ V.T).ravel()
 
     def augment(self, z: Floats, noise: Floats) -> None:
-        """By the landmark of each reading (m, 2): xi_new = xi_p + R dy/dz w."""
-        R = _rotation(self.x[2])
-        for r, bearing in z.tolist():
-            y0, y1, *by_z = invert(_MODEL, r, bearing, _BODY)
-            G = R @ np.array(by_z).reshape(2, 2)
-            own = self.P[:2, :2] + G @ noise @ G.T
-            self.x = np.concatenate([self.x, self.x[:2] + R @ (y0, y1)])
+        """By the landmark of each reading (m, 2): xi_new = xi_p + R w, w the reading's noise in the body frame."""
+        R = PLANE.rotation(self.x[:3])
+        for reading in z:
+            y, spread = shown(PLANE.key, _MODEL, _BODY, reading, noise)
+            own = self.P[:2, :2] + R @ spread @ R.T
+            self.x = np.concatenate([self.x, self.x[:2] + R @ y])
             self.P = np.block([[self.P, self.P[:, :2]], [self.P[:2], own]])
 
     def drop(self, landmarks: Ints) -> None:
@@ -89,17 +87,7 @@ class OneMap:
     def error(self, pose: Floats, landmarks: Floats) -> Floats:
         """The xi that takes the estimate to the truth: a pose (3,), and where its landmarks (n, 2) are."""
         turn = wrap(float(pose[2] - self.x[2]))
-        moved = np.vstack([pose[:2], landmarks]) - np.vstack([self.x[:2], self.landmarks]) @ _rotation(turn).T
-        xi = np.linalg.solve(_left(turn), moved.T).T
+        R, V = PLANE.rotation_of([turn]), PLANE.left_jacobian([turn])
+        moved = np.vstack([pose[:2], landmarks]) - np.vstack([self.x[:2], self.landmarks]) @ R.T
+        xi = np.linalg.solve(V, moved.T).T
         return np.concatenate([xi[0], [turn], xi[1:].ravel()])
-
-
-def _rotation(theta: float) -> Floats:
-    c, s = math.cos(theta), math.sin(theta)
-    return np.array([[c, -s], [s, c]])
-
-
-def _left(phi: float) -> Floats:
-    """V(phi), the integral of R(t phi) over t in [0, 1]."""
-    a, b = rotation_series(phi)
-    return np.array([[a, -b], [b, a]])

@@ -16,11 +16,12 @@ from submaps.association.candidates import Candidates, Readings, candidates
 from submaps.association.joint import joint
 from submaps.association.known import known
 from submaps.association.methods import METHODS, Method
-from submaps.association.planar import planar
+from submaps.association.readings import predicted_readings
 from submaps.association.result import AMBIGUOUS, NEW, Association, Gates
 from submaps.geometry.logarithm import log
-from submaps.observation.models import MODELS
-from tests.core.support import jacobian, plus, random_covariance, seen, wrapped
+from submaps.observation.models import MODELS, sensor_of
+from tests.core.filters import SENSORS, difference, plus, seen, space_of
+from tests.core.support import jacobian, random_covariance, wrapped
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -320,31 +321,34 @@ def test_known_identities_are_taken_as_they_are() -> None:
     assert known(nothing, np.empty(0, dtype=np.int64), np.array([5])).landmark.size == 0
 
 
-# -- a planar state ----------------------------------------------------------------------------
+# -- a state -----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("invariant", [True, False])
-@pytest.mark.parametrize("model", ["cartesian", "range_bearing"])
-def test_a_planar_state_reads_as_numeric_derivatives_say(model: str, invariant: bool) -> None:
+@pytest.mark.parametrize("name", SENSORS)
+def test_a_state_reads_as_numeric_derivatives_say(name: str, invariant: bool) -> None:
     """The last two landmarks err by themselves, additively; the others in the filter's own error."""
     rng = np.random.default_rng(10)
-    mount = (0.7, -0.3, 0.4)
-    x = np.array([1.0, -2.0, 0.7, *rng.uniform(-9.0, 9.0, 8)])
-    P = random_covariance(rng, 11, 0.1)
-    raw = np.array([*mount[:2], math.cos(mount[2]), math.sin(mount[2])])
-    readings = planar(x, P, 4, MODELS[model], raw, invariant, carried=2)
-    assert readings.angular.tolist() == [0, model == "range_bearing"]
+    sensor = SENSORS[name]
+    space, channels = space_of(sensor), len(sensor.channels)
+    dim, pose, size = space.dim, space.pose, space.pose + 4 * space.dim
+    x = np.concatenate([0.3 * rng.normal(size=pose), rng.uniform(2.0, 6.0, 4 * dim)])
+    P = random_covariance(rng, size, 0.1)
+    readings = predicted_readings(
+        space, x, P, 4, MODELS[sensor.model], sensor_of(space, sensor), channels, invariant, carried=2
+    )
     for j in range(4):
-        slot = 3 + 2 * j
-        base = seen(model, mount, x, slot)
+        slot = pose + dim * j
+        base = seen(sensor, x, slot)
 
         def reading(xi: Floats, slot: int = slot, base: Floats = base) -> Floats:
-            moved = plus(x, xi, invariant)
-            moved[7:] = x[7:] + xi[7:]
-            difference = seen(model, mount, moved, slot) - base
-            if model == "range_bearing":
-                difference[1] = wrapped(difference[1])
-            return difference
+            moved = plus(space, x, xi, invariant)
+            moved[pose + 2 * dim :] = x[pose + 2 * dim :] + xi[pose + 2 * dim :]
+            return difference(sensor, seen(sensor, moved, slot), base)
 
+        expected = jacobian(reading, np.zeros(size), 1e-3)
+        found = dense(readings)[channels * j : channels * j + channels]
         assert np.allclose(readings.h[j], base, rtol=1e-12)
-        assert np.allclose(dense(readings)[2 * j : 2 * j + 2], jacobian(reading, np.zeros(11)), rtol=1e-6, atol=1e-9)
+        assert np.allclose(found, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+    wrap_last = difference(sensor, np.full(channels, 3.0), np.full(channels, -3.0)) < 5.0
+    assert readings.angular.astype(bool).tolist() == wrap_last.tolist()

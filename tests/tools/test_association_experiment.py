@@ -15,9 +15,13 @@ from service.experiments import association, association_world
 from service.experiments.association_runs import by_method, likeliest_mistake, run, with_mistake
 from service.experiments.association_world import CLUTTER, simulate
 from service.experiments.one_map import OneMap
+from submaps.config import ObservationConfig
 from submaps.consistency import average_bounds, nees
-from tests.core.support import DenseFilter, minus, random_covariance
+from submaps.geometry.space import PLANE
+from tests.core.filters import DenseFilter, minus
+from tests.core.support import random_covariance
 
+SENSOR = ObservationConfig("range_bearing", (0.1, 0.02))
 A = TypeVar("A")
 B = TypeVar("B")
 
@@ -39,7 +43,7 @@ class OneAfterTheOther:
 def test_one_map_is_the_right_invariant_filter() -> None:
     """Against one by numeric Jacobians: prediction, a new landmark, an update, and the error of either."""
     rng = np.random.default_rng(0)
-    one, dense = OneMap(), DenseFilter(np.zeros(3), np.zeros((3, 3)), True, "range_bearing", (0.0, 0.0, 0.0))
+    one, dense = OneMap(), DenseFilter(np.zeros(3), np.zeros((3, 3)), True, SENSOR)
     R = np.diag([0.01, 0.0004])
     for k in range(6):
         increment, noise = rng.normal(size=3) * 0.3, random_covariance(rng, 3, 0.05)
@@ -53,11 +57,11 @@ def test_one_map_is_the_right_invariant_filter() -> None:
         z = seen.readings.h[slot] + 0.02
         one.update(seen, np.array([0]), np.array([slot]))
         dense.update(3 + 2 * slot, z, R)
-        assert np.allclose(minus(one.x, dense.x, True), 0.0, atol=1e-8)
+        assert np.allclose(minus(PLANE, one.x, dense.x, True), 0.0, atol=1e-8)
         assert np.allclose(one.P, dense.P, atol=1e-9)
     truth = dense.x + rng.normal(size=dense.x.size) * 0.1
     xi = one.error(truth[:3], truth[3:].reshape(-1, 2))
-    assert np.allclose(xi, minus(truth, one.x, True), atol=1e-6)
+    assert np.allclose(xi, minus(PLANE, truth, one.x, True), atol=1e-6)
     one.drop(np.array([0, 3]))
     kept = [0, 1, 2, 5, 6, 7, 8, 11, 12, 13, 14]
     assert np.allclose(one.x, dense.x[kept], atol=1e-8)
