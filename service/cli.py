@@ -1,4 +1,4 @@
-"""The command ``submaps``: serve, replay, plot, export, evaluate."""
+"""The command ``submaps``: serve, replay, plot, export, evaluate, experiment."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import typer
 from service.client import Refused, Unreachable
 from service.commands.console import FAULT, INPUT, INTERRUPTED, REFUSED, UNREACHABLE, fail
 from service.commands.evaluate import evaluate
+from service.commands.experiment import experiment
 from service.commands.export import export
 from service.commands.plot import plot
 from service.commands.replay import replay
@@ -26,7 +27,7 @@ app = typer.Typer(
     help="Large-scale SLAM as a service: bounded sub-maps, joined, with covariances.",
     epilog="Exit codes: 0 done, 1 fault, 2 wrong input, 3 no service answers, 4 the service refused.",
 )
-for command in (serve, replay, plot, export, evaluate):
+for command in (serve, replay, plot, export, evaluate, experiment):
     app.command()(command)
 
 

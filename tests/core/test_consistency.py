@@ -8,7 +8,8 @@ import pytest
 from benchmarks.consistency import study
 from submaps.consistency import average_bounds, chi_square_bound, nees
 
-RUNS = 20
+RUNS = 50
+BAND = (0.79, 1.24)  # 95 %, of the mean NEES of a pose per degree of freedom over so many runs
 
 
 @pytest.fixture(scope="module")
@@ -21,6 +22,11 @@ def test_joined_sub_maps_are_consistent(circle_world: dict[str, dict[str, float]
     low, high = average_bounds(0.99, 3, RUNS)
     assert low <= circle_world["sub-maps joined"]["nees"] <= high
     assert circle_world["sub-maps joined"]["submaps"] > 20
+
+
+def test_the_right_invariant_filter_is_consistent(circle_world: dict[str, dict[str, float]]) -> None:
+    assert average_bounds(0.95, 3, RUNS) == pytest.approx(BAND, abs=0.005)
+    assert BAND[0] <= circle_world["one right-invariant map"]["nees"] <= BAND[1]
 
 
 def test_joining_loses_nothing(circle_world: dict[str, dict[str, float]]) -> None:

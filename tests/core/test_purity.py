@@ -13,7 +13,7 @@ from tests.conftest import ROOT
 
 PACKAGE = ROOT / "submaps"
 ALLOWED = {
-    "__future__", "collections", "dataclasses", "functools", "hashlib", "heapq", "itertools", "math", "re",
+    "__future__", "collections", "dataclasses", "enum", "functools", "hashlib", "heapq", "itertools", "math", "re",
     "threading", "typing", "networkx", "numpy", "qdldl", "scipy", "submaps",
 }  # fmt: skip
 # The door to Numba finds a folder for compiled code; nothing else touches a file.
