@@ -66,7 +66,7 @@ def _update(
         i = k % z.shape[0]
         update(
             space, x, P, n, pose + dim * i, model, sensor, 0, readings, wide * i, R, math.inf, math.inf, True, U, has_u,
-            A, w,
+            A, False, w, w,
         )  # fmt: skip
 
 

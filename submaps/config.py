@@ -15,6 +15,7 @@ SpaceName = Literal["se2", "se3"]
 MotionModel = Literal["odometry", "velocity", "bicycle", "ackermann", "odometry3d", "none"]
 ObservationModel = Literal["cartesian", "range_bearing", "bearing", "cartesian3d", "stereo", "pinhole"]
 FilterName = Literal["invariant", "standard"]
+AssociationName = Literal["known", "greedy", "assignment", "joint"]
 Noise = Literal["reading", "density"]
 
 MOTION_CHANNELS: dict[str, tuple[str, ...]] = {
@@ -44,6 +45,8 @@ WITHOUT_MOTION = ("cartesian3d", "stereo")
 CAMERAS = ("stereo", "pinhole")
 # A single reading of these leaves the depth open: a new landmark needs a prior.
 WITHOUT_DEPTH = ("bearing", "pinhole")
+# Of maps that find out which landmark an observation is of (docs/experiments/association.md).
+DEFAULT_GATE, DEFAULT_NEW_GATE = 0.99, 0.99999
 
 
 @dataclass(frozen=True)
@@ -175,10 +178,11 @@ class MapConfig:
     """Everything that decides how a map estimates.
 
     ``gate`` is the chi-square probability beyond which an observation is rejected (``None``: all
-    are used). A sub-map closes at ``max_landmarks``, or when the heading's standard deviation in
-    its own frame passes ``max_heading_sigma`` (rad), or that of its position
-    ``max_position_sigma`` (m), after ``min_observed_steps`` steps with
-    observations.
+    are used). With ``association`` other than "known" observations come without landmarks: one within
+    the gate may be of a landmark, one beyond ``new_gate`` from all of them begins one, and one in between
+    is ambiguous, and rejected; both gates have defaults then. A sub-map closes at ``max_landmarks``, or
+    when the heading's standard deviation in its own frame passes ``max_heading_sigma`` (rad), or that of
+    its position ``max_position_sigma`` (m), after ``min_observed_steps`` steps with observations.
     """
 
     motion: MotionConfig
@@ -190,13 +194,14 @@ class MapConfig:
     min_observed_steps: int = 5
     max_position_sigma: float = 0.15
     space: SpaceName = "se2"
+    association: AssociationName = "known"
+    new_gate: float | None = None
 
     def __post_init__(self) -> None:
         _check_choice("space", self.space, get_args(SpaceName))
         check_models(self.space, self.motion, self.observation)
         _check_choice("filter", self.filter, get_args(FilterName))
-        if self.gate is not None and not 0.0 < self.gate < 1.0:
-            raise ConfigError("association.gate", self.gate, "null or a probability in (0, 1)")
+        self._check_association()
         if not 1 <= self.max_landmarks <= 1000:
             raise ConfigError("submap.max_landmarks", self.max_landmarks, "an integer in 1..1000")
         if not 0.0 < self.max_heading_sigma < math.inf:
@@ -206,10 +211,29 @@ class MapConfig:
         if not 1 <= self.min_observed_steps <= 1_000_000:
             raise ConfigError("submap.min_observed_steps", self.min_observed_steps, "an integer in 1..1000000")
 
+    def _check_association(self) -> None:
+        _check_choice("association.method", self.association, get_args(AssociationName))
+        if not self.named:
+            if self.motion.model == "none":
+                _check_choice("association.method", self.association, ("known",), " without a motion model")
+            object.__setattr__(self, "gate", DEFAULT_GATE if self.gate is None else self.gate)
+            object.__setattr__(self, "new_gate", DEFAULT_NEW_GATE if self.new_gate is None else self.new_gate)
+        elif self.new_gate is not None:
+            raise ConfigError("association.new_gate", self.new_gate, "none where landmarks are known")
+        if self.gate is not None and not 0.0 < self.gate < 1.0:
+            raise ConfigError("association.gate", self.gate, "null or a probability in (0, 1)")
+        if self.new_gate is not None and not (self.gate or 0.0) <= self.new_gate < 1.0:
+            raise ConfigError("association.new_gate", self.new_gate, f"a probability from the gate's {self.gate} to 1")
+
     @property
     def geometry(self) -> Space:
         """The plane or space, as a value."""
         return SPACES[self.space]
+
+    @property
+    def named(self) -> bool:
+        """Whether observations say which landmark they are of."""
+        return self.association == "known"
 
 
 def check_models(space: str, motion: MotionConfig, observation: ObservationConfig) -> None:

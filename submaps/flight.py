@@ -100,7 +100,7 @@ def fly(volume: Volume, rng: np.random.Generator, sensor: ObservationConfig | No
             R.append(covariance)
     count = len(poses)
     batch = Batch(
-        t=np.arange(count) * 1.0, control_step=np.arange(1, count), control=np.ascontiguousarray(control.T),
+        t=np.arange(count, dtype=np.float64), control_step=np.arange(1, count), control=np.ascontiguousarray(control.T),
         control_covariance=noise, observation_step=np.array(seen_at, dtype=np.int64), landmark=tuple(names),
         z=np.ascontiguousarray(np.array(z).T), observation_covariance=np.array(R),
     )  # fmt: skip

@@ -1,7 +1,8 @@
 """The main path: a batch walks through one robot's active sub-map, and on into the next.
 
-Steps are taken in order: predict, associate (known ids), update, augment. The compiled walk
-comes back here only where a sub-map is full or its arrays have to grow.
+Steps are taken in order: predict, associate, update, augment. The compiled walk comes back here only
+where a sub-map is full or its arrays have to grow, and, where observations do not name their
+landmarks, before each step that has some (``associating``).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from submaps.associating import AMBIGUOUS_STATUS, Associator
 from submaps.atlas.solution import Solution
 from submaps.atlas.state import AtlasState, submap_of
 from submaps.atlas.view import View
@@ -39,6 +41,7 @@ _REASONS = {
     kernel.FLAGGED: "unlikely",
     kernel.LATE: "late",
     kernel.LOST: "lost",
+    AMBIGUOUS_STATUS: "ambiguous",
 }
 
 
@@ -63,6 +66,9 @@ class Mapper:
         self._state = AtlasState.empty(config)
         self._landmarks = LandmarkTable(self._state.names, self._state.number_of, self._state.sightings)
         self._changed: set[str] = set()
+        self._associator: Associator | None = None
+        if not config.named:
+            self._associator = Associator(config, self._landmarks, self._state.records)
 
     def configure(self, robot: str, own: RobotConfig) -> None:
         """Set a robot apart from the map's defaults, before its first batch."""
@@ -71,7 +77,7 @@ class Mapper:
     def apply(self, robot: str, batch: Batch) -> Report:
         """Take in an admitted batch of one robot's measurements; never fails on its content."""
         r = self._robots.get(robot) or self._new_robot(robot, float(batch.t[0]))
-        landmark, met = self._landmarks.intern(batch.landmark)
+        landmark, met = (self._associator or self._landmarks).intern(batch.landmark)
         columns, track_odom = _prepared(r, batch, landmark)
         late = self._announce(met)
         marks = self._due_marks(robot, float(batch.t[-1]))
@@ -82,20 +88,31 @@ class Mapper:
         if marks:
             marked = with_marks(columns, r.t, marks)
             columns = marked.columns
-        before = r.active.number
-        track, track_submap, seen_status, seen_nis = self._walk(r, columns)
+        before, number = r.active.number, columns.landmark
+        if self._associator is None:
+            track, track_submap, seen_status, seen_nis = self._walk(r, columns)
+        else:
+            found = self._associator.walk(r, columns, self._walk)
+            columns, number = found.columns, found.number
+            track, track_submap, seen_status, seen_nis = found.walked
         self._note(r, columns, before, track_submap)
         if marked is not None:
             track, track_submap = track[marked.steps], track_submap[marked.steps]
             seen_status, seen_nis = seen_status[marked.observations], seen_nis[marked.observations]
+            number = number[marked.observations]
         status, nis = seen_status, seen_nis
         if late:
             status = np.full(batch.observations, kernel.LATE, dtype=np.uint8)
             nis = np.full(batch.observations, math.nan)
-            status[taken], nis[taken] = seen_status, seen_nis
-        rejected, flagged = _set_aside(batch, status, nis)
-        pose = r.active.space.as_pose(track[-1])
-        return Report(r.active.number, float(batch.t[-1]), pose, rejected, flagged, track_submap, track, track_odom)
+            status[taken], nis[taken], landmark[taken] = seen_status, seen_nis, number
+        elif self._associator is not None:
+            landmark = number
+        names, found_ = batch.landmark, None
+        if self._associator is not None:
+            names, found_ = self._associator.told(batch.landmark, landmark, status)
+        rejected, flagged = _set_aside(batch, names, status, nis)
+        pose, t = r.active.space.as_pose(track[-1]), float(batch.t[-1])
+        return Report(r.active.number, t, pose, rejected, flagged, track_submap, track, track_odom, found_)
 
     def _walk(self, r: Robot, c: Columns) -> tuple[Floats, NDArray[np.int32], NDArray[np.uint8], Floats]:
         """Walk through the robot's sub-maps: pose and sub-map after each step, status and nis of each observation."""
@@ -284,14 +301,14 @@ def _prepared(r: Robot, batch: Batch, landmark: Ints) -> tuple[Columns, Floats]:
 
 
 def _set_aside(
-    batch: Batch, status: NDArray[np.uint8], nis: Floats
+    batch: Batch, names: tuple[str, ...], status: NDArray[np.uint8], nis: Floats
 ) -> tuple[tuple[Rejection, ...], tuple[Rejection, ...]]:
     rejected: list[Rejection] = []
     flagged: list[Rejection] = []
-    for i in np.flatnonzero((status > kernel.USED) & (status < kernel.FIRST)):
+    for i in np.flatnonzero((status != kernel.USED) & (status != kernel.FIRST)):
         step = int(batch.observation_step[i])
         within = int(i - np.searchsorted(batch.observation_step, step))
         value = float(nis[i]) if math.isfinite(nis[i]) else None
-        entry = Rejection(step, within, batch.landmark[i], _REASONS[int(status[i])], value)
+        entry = Rejection(step, within, names[i], _REASONS[int(status[i])], value)
         (flagged if status[i] == kernel.FLAGGED else rejected).append(entry)
     return tuple(rejected), tuple(flagged)

@@ -39,7 +39,8 @@ class Batch:
     (c, d, d) and (m, channels, channels) stand where the client sent its own, and are ``None`` where the model's
     sigma holds throughout; a row of ``control_covariance`` that is NaN at [0, 0] means the model's own
     noise as well. A sighting of another robot is an observation of the landmark that
-    ``encounter`` names; within a step it follows those of landmarks.
+    ``encounter`` names; within a step it follows those of landmarks. Where landmarks are not known
+    their ids are empty.
     """
 
     t: Floats
@@ -84,6 +85,8 @@ class Report:
     ``pose`` (x m, y m, theta rad; in space x, y, z m and a rotation vector, rad) is in the frame of
     ``submap``; ``track_pose`` (n, pose) after each step in the frame of ``track_submap`` (n,), ``track_odom``
     (n, pose) by dead reckoning in ``odom``.
+    Where landmarks are not known, ``found`` tells that of each observation, ``None`` if it was ambiguous;
+    encounters are left out.
     """
 
     submap: int
@@ -94,3 +97,4 @@ class Report:
     track_submap: NDArray[np.int32]
     track_pose: Floats
     track_odom: Floats
+    found: tuple[str | None, ...] | None = None

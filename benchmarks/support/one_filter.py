@@ -40,7 +40,8 @@ def _drive_compiled(
         for i in range(a_step):
             at = (k * a_step + i) % (z.shape[0] // 2)
             update(
-                space, x, P, n, 3 + 2 * at, 0, sensor, 0, z, 2 * at, R, math.inf, math.inf, True, U, has_u, A, w,
+                space, x, P, n, 3 + 2 * at, 0, sensor, 0, z, 2 * at, R, math.inf, math.inf, True, U, has_u,
+                A, False, w, w,
             )  # fmt: skip
             has_u = False
 

@@ -126,8 +126,9 @@ async def show_pose(
     """
     hosted = hosted_map(request, map_)
     view = hosted.view
-    if query.frame == "odom":
-        _check_reckoned(hosted, _find(view, robot))
+    reckoned = _reckoned(hosted, _find(view, robot))
+    if query.frame == "odom" and not reckoned:
+        raise _without_motion(robot)
     found = view.pose(robot, query.frame)
     answer: dict[str, Any] = {
         "frame": found.frame,
@@ -138,7 +139,7 @@ async def show_pose(
         "submap": found.submap,
         "map_version": view.version,
     }
-    if found.map_T_odom is not None:
+    if found.map_T_odom is not None and reckoned:
         answer["map_T_odom"] = pose_answer(found.map_T_odom)
     return json_answer(answer)
 
@@ -156,9 +157,8 @@ def show_trajectory(
     if query.kind == "smoothed":
         raise invalid("kind", "got 'smoothed', expected 'filtered' (smoothing comes with refinement)")
     hosted = hosted_map(request, map_)
-    found = _find(hosted.view, robot)
-    if query.frame == "odom":
-        _check_reckoned(hosted, found)
+    if not _reckoned(hosted, _find(hosted.view, robot)) and query.frame == "odom":
+        raise _without_motion(robot)
     span = (-float("inf") if query.from_ is None else query.from_, float("inf") if query.to is None else query.to)
     stream = tracks.poses(engine_of(request).journal, hosted, robot, query.frame, span)
     if query.format == "tum":
@@ -173,13 +173,15 @@ def _find(view: View, robot: str) -> RobotState:
     raise not_found("robot", robot)
 
 
-def _check_reckoned(hosted: Hosted, robot: RobotState) -> None:
-    """Raise ``Problem`` (409) where a robot has no dead reckoning."""
-    if hosted.models(robot.id).motion.model == "none":
-        raise Problem(
-            409, "not-connected",
-            f"Robot {robot.id!r} has no motion model, so no dead reckoning leads from 'odom' to it.",
-        )  # fmt: skip
+def _reckoned(hosted: Hosted, robot: RobotState) -> bool:
+    """Whether a robot has a dead reckoning: something measures its motion."""
+    return hosted.models(robot.id).motion.model != "none"
+
+
+def _without_motion(robot: str) -> Problem:
+    return Problem(
+        409, "not-connected", f"Robot {robot!r} has no motion model, so no dead reckoning leads from 'odom' to it."
+    )
 
 
 def _answer(view: View, robot: RobotState) -> dict[str, Any]:

@@ -26,6 +26,9 @@ correlate by 0.73 to 0.93), and both images share them: the disparity's variance
 independent pixels would have. Over half a second and more the increments are better than the file says, but for
 the vertical, and they are no worse over 0.7 s than over 0.05 s. Expect covariances that are too large in depth,
 too small after long.
+
+**Sub-maps** end at a rotation of 0.05 rad: the 0.01 rad that serve a good odometer would end one wherever they may,
+with every fifth step that sees something. The landmarks are as good by either.
 """
 
 from __future__ import annotations
@@ -47,6 +50,7 @@ from submaps.trajectory import Trajectory
 Floats = NDArray[np.float64]
 
 CALIBRATION, STEREO = "calib.txt", "stereo.csv"
+MAX_HEADING_SIGMA = 0.05  # rad
 UNSEEN = "steps with fewer than three readings, of which no pose follows without odometry"
 LEAST_READINGS = 3
 _FIELDS = {
@@ -93,7 +97,7 @@ def read_starry_night(folder: Path, *, odometry: bool = True) -> Dataset:
         z=np.ascontiguousarray(z),
         observation_covariance=None,
     )
-    config = MapConfig(motion, _camera(calibration), space="se3")
+    config = MapConfig(motion, _camera(calibration), max_heading_sigma=MAX_HEADING_SIGMA, space="se3")
     return Dataset(folder.resolve().name, config, {ROBOT: batch}, _truth(folder), notes)
 
 

@@ -138,7 +138,7 @@ def _width(points: Floats, corners: Ints) -> Floats:
     longest = np.max([np.linalg.norm(side, axis=1) for side in sides], axis=0)
     if len(sides) == 1:
         return np.asarray(longest)
-    return np.linalg.norm(np.cross(sides[0], sides[1]), axis=1) / np.where(longest > 0.0, longest, 1.0)
+    return np.asarray(np.linalg.norm(np.cross(sides[0], sides[1]), axis=1) / np.where(longest > 0.0, longest, 1.0))
 
 
 def _sigmas(covariance: Floats) -> Floats:

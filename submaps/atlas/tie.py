@@ -44,8 +44,8 @@ def _start(space: Key, A: Floats, B: Floats, T: Floats) -> None:
     (4, 4) matrix of the sums S of products.
     """
     n, dim = A.shape[0], len(space)
-    a, b = scaled(0.0, vector(space, T, 0)), scaled(0.0, vector(space, T, 0))
-    for i in range(n):
+    a, b = scaled(1.0 / n, row(space, A, 0, 0)), scaled(1.0 / n, row(space, B, 0, 0))
+    for i in range(1, n):
         a, b = plus(a, 1.0 / n, row(space, A, i, 0)), plus(b, 1.0 / n, row(space, B, i, 0))
     S = np.zeros((dim, dim))
     for i in range(n):

@@ -205,16 +205,21 @@ def _innovation_covariance(space: Key, k: int, A: Floats, invariant: bool, w: Fl
 @jit()
 def update(
     space: Key, x: Floats, P: Floats, n: int, k: int, model: int, sensor: Floats, at: int, z: Floats, zat: int,
-    R: Floats, gate: float, flag: float, invariant: bool, U: Floats, has_u: bool, A: Floats, w: Floats,
+    R: Floats, gate: float, flag: float, invariant: bool, U: Floats, has_u: bool, A: Floats, hold: bool, xi: Floats,
+    w: Floats,
 ) -> tuple[int, float]:  # fmt: skip
     """One observation of the landmark at x[k:k+dim]; returns (status, normalised innovation squared).
 
     H = dh/dy [-R^T, 0, ..., R^T, ...] on the invariant error, with -dh/dy R^T turn(l - p) in the rotation's
     columns on the standard one; S = H P H^T + R = L L^T; P <- P - A^T A with A = L^-1 H P.
-    Rejected observations (GATED, SINGULAR) leave x and P as they were, with U still to be added.
+    Rejected observations (GATED, SINGULAR) leave x and P as they were, with U still to be added. With ``hold``
+    x stays where it is and xi (n,) takes the correction, so that several readings are linearised at one state,
+    as in a joint update; ``retract_held`` then applies it.
     """
     dim, S, v = len(space), INNOVATION_COVARIANCE, INNOVATION
     rest = linearise(space, x, k, model, sensor, at, z, zat, R, w)
+    if hold:
+        _less_held(space, k, xi, invariant, w)
     gain_columns(space, P, n, k, not invariant, A, w)
     if has_u:
         gain_of_prediction(space, n, k, U, A, w)
@@ -234,12 +239,39 @@ def update(
     if nis > gate:
         return GATED, nis
     whiten(space, n, A, w)
-    retract(space, x, n, A, invariant, w)
+    if hold:
+        for a in range(dim):
+            for j in range(n):
+                xi[j] += A[a, j] * w[v + a]
+    else:
+        retract(space, x, n, A, invariant, w)
     if has_u:
         add_and_subtract(space, P, n, U, A)
     else:
         subtract(space, P, n, A)
     return (FLAGGED if nis > flag else USED), nis
+
+
+@jit()
+def _less_held(space: Key, k: int, xi: Floats, invariant: bool, w: Floats) -> None:
+    """The innovation less H xi, of a correction that is held back."""
+    dim, rot = len(space), 2 * len(space) - 3
+    for a in range(dim):
+        for i in range(dim):
+            w[INNOVATION + a] -= w[GAIN + dim * a + i] * (xi[k + i] - xi[i])
+        if not invariant:
+            for i in range(rot):
+                w[INNOVATION + a] -= w[TURNING + rot * a + i] * xi[dim + i]
+
+
+@jit()
+def retract_held(space: Key, x: Floats, n: int, xi: Floats, A: Floats, invariant: bool, w: Floats) -> None:
+    """Apply the correction that updates with ``hold`` have gathered in xi (n,)."""
+    for a in range(len(space)):
+        for j in range(n):
+            A[a, j] = xi[j] if a == 0 else 0.0
+        w[INNOVATION + a] = 1.0 if a == 0 else 0.0
+    retract(space, x, n, A, invariant, w)
 
 
 @jit()

@@ -2,7 +2,8 @@
 
 The pose has a flat prior (Klecka, "Comparison of different approaches to adaptation of unscented Kalman filter
 for non-odometry SLAM", eqs. 13, 14 and 21): the old one is marginalised, the new one is found from the readings
-of known landmarks, closed form first (Horn, J. Opt. Soc. Am. A 4(4), 1987), then Gauss-Newton. It enters the
+of known landmarks, closed form first (Horn, J. Opt. Soc. Am. A 4(4), 1987), then Gauss-Newton, each reading as
+uncertain as it and its landmark are. It enters the
 filter with a covariance so much wider than what those readings say that nothing counts twice.
 """
 
@@ -58,6 +59,7 @@ def relocalise(
             if slot >= 0:
                 state[6:9] = x[slot : slot + 3]
                 linearise(space, state, 6, model, real, SENSOR, z[:, o], 0, R[o if R.shape[0] > 1 else 0], w)
+                _add_landmark_noise(x, P, slot, invariant, w)
                 _accumulate(w, information, gradient)
         if not _factor(information, L):
             return False
@@ -71,6 +73,34 @@ def relocalise(
     _wide_prior(L, information)
     replace_pose(x, P, n, invariant, information)
     return True
+
+
+@jit()
+def _add_landmark_noise(x: Floats, P: Floats, k: int, invariant: bool, w: Floats) -> None:
+    """Add G C G^T to the reading's noise, C (3, 3) of the landmark's additive error, e_l = xi_l + turn(l) xi_theta.
+
+    A map that is not yet certain would else bend the pose to fit it.
+    """
+    C, D = np.empty((3, 3)), np.zeros((3, 6))
+    for i in range(3):
+        D[i, i] = 1.0
+        one, two = (i + 1) % 3, (i + 2) % 3
+        if invariant:
+            D[i, 3 + one], D[i, 3 + two] = x[k + two], -x[k + one]
+    for i in range(3):
+        for j in range(3):
+            total = 0.0
+            for a in range(6):
+                for b in range(6):
+                    total += D[i, a] * P[k + a if a < 3 else a, k + b if b < 3 else b] * D[j, b]
+            C[i, j] = total
+    for i in range(3):
+        for j in range(3):
+            total = w[NOISE + 3 * i + j]
+            for a in range(3):
+                for b in range(3):
+                    total += w[GAIN + 3 * i + a] * C[a, b] * w[GAIN + 3 * j + b]
+            w[NOISE + 3 * i + j] = total
 
 
 @jit()

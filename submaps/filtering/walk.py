@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from submaps._jit import jit
 from submaps.filtering.closing import CLOSED, close
 from submaps.filtering.genesis import wants_genesis
-from submaps.filtering.kernel import FIRST, GATED, LOST, SINGULAR, augment, update
+from submaps.filtering.kernel import FIRST, GATED, LOST, SINGULAR, augment, retract_held, update
 from submaps.filtering.layout import (
     DIM,
     DONE,
@@ -75,10 +75,13 @@ def _observe(
     model, invariant = whole[MODEL], whole[INVARIANT] != 0
     observed = 0
     has_u = predict(space, x, P, counts[DIM], motion, whole[INVARIANT], U)
-    # Where each pose is found from what is seen, known landmarks come first: new ones are placed by them.
+    # Where each pose is found from what is seen, known landmarks come first, all of them at one state, and
+    # new ones are placed by them.
     before = counts[DIM]
     passes = 2 if whole[MOTIONLESS] != 0 and before > pose else 1
+    held = np.zeros(before if passes == 2 else 1)
     for take in range(passes):
+        hold = passes == 2 and take == 0
         for o in range(begin, end):
             n = counts[DIM]
             slot = slot_of[landmark[o]]
@@ -101,7 +104,7 @@ def _observe(
             if slot >= 0:
                 status[o], nis[o] = update(
                     space, x, P, n, slot, model, real, SENSOR, w, READING, Ro, real[GATE], real[FLAG], invariant,
-                    U, has_u, A, w,
+                    U, has_u, A, hold, held, w,
                 )  # fmt: skip
                 if status[o] == GATED or status[o] == SINGULAR:
                     counts[REJECTED] += 1
@@ -123,6 +126,8 @@ def _observe(
                 ids[(n - pose) // dim] = landmark[o]
                 counts[DIM] = n + dim
             counts[OBSERVATIONS] += 1
+        if hold:
+            retract_held(space, x, before, held, A, invariant, w)
     if has_u:
         add(space, P, counts[DIM], U)
     counts[OBSERVED] += observed

@@ -106,25 +106,9 @@ def _update_each(
     U, A, channels = scratch[:rot], scratch[rot:], z.shape[0] // slots.shape[0]
     for i in range(slots.shape[0]):
         status, _ = _update(
-            space,
-            x,
-            P,
-            n,
-            slots[i],
-            model,
-            sensor,
-            0,
-            z,
-            i * channels,
-            R,
-            math.inf,
-            math.inf,
-            invariant,
-            U,
-            False,
-            A,
-            w,
-        )
+            space, x, P, n, slots[i], model, sensor, 0, z, i * channels, R, math.inf, math.inf, invariant, U, False, A,
+            False, w, w,
+        )  # fmt: skip
         used += status == USED
     return used
 

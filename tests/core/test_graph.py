@@ -13,51 +13,46 @@ from numpy.typing import NDArray
 from submaps.atlas.graph import Graph
 from submaps.atlas.view import View
 from submaps.errors import NotConnected, UnknownName
-from submaps.geometry.se2 import Pose, compose, inverse, inverse_covariance
+from submaps.geometry.space import SOLID, Space
 from submaps.submap import Submap
-from tests.core.support import R, atlas, chain, jacobian, minus, plus, submap
+from tests.core.atlases import additive, apart, atlas, both_filters, both_spaces, chain, moved, outside, slopes, submap
 
 Floats = NDArray[np.float64]
-both_filters = pytest.mark.parametrize("invariant", [True, False], ids=["invariant", "standard"])
 
 
-def additive(s: Submap) -> Floats:
-    """Covariance of a sub-map's additive errors, by numeric Jacobian from its definition."""
-    J = jacobian(lambda xi: plus(s.mean, xi, s.invariant) - s.mean, np.zeros(s.mean.shape[0]))
-    whole: Floats = J @ s.covariance() @ J.T
-    return whole
-
-
+@both_spaces
 @both_filters
-def test_an_exit_is_the_end_pose_with_its_additive_covariance(invariant: bool) -> None:
-    held = chain([[0], [1], [2]], seed=1, invariant=invariant)
+def test_an_exit_is_the_end_pose_with_its_additive_covariance(space: Space, invariant: bool) -> None:
+    held = chain([[0], [1], [2]], space, seed=1, invariant=invariant)
     edge = Graph(atlas(held)).edge("exit", 0, 1)
     assert (edge.kind, edge.a, edge.b, edge.transform) == ("exit", 0, 1, held[0].pose)
-    assert np.allclose(edge.covariance, additive(held[0])[:3, :3], rtol=1e-8, atol=1e-14)
+    p = space.pose
+    assert np.allclose(edge.covariance, additive(held[0])[:p, :p], rtol=1e-8, atol=1e-13)
 
 
+@both_spaces
 @both_filters
-def test_a_tie_is_weighted_least_squares_on_the_common_landmarks(invariant: bool) -> None:
-    held = chain([[0, 1, 2, 3], [9], [3, 1, 2, 8]], seed=2, invariant=invariant)
+def test_a_tie_is_weighted_least_squares_on_the_common_landmarks(space: Space, invariant: bool) -> None:
+    held = chain([[0, 1, 2, 3], [9], [3, 1, 2, 8]], space, seed=2, invariant=invariant)
     edge = Graph(atlas(held)).edge("tie", 0, 2)
     a, b = held[0], held[2]
-    common = [1, 2, 3]
-    rows_a = [a.slot_of(i) + k for i in common for k in (0, 1)]
-    rows_b = [b.slot_of(i) + k for i in common for k in (0, 1)]
+    common, d = [1, 2, 3], space.dim
+    rows_a = [a.slot_of(i) + k for i in common for k in range(d)]
+    rows_b = [b.slot_of(i) + k for i in common for k in range(d)]
     cov_a, cov_b = additive(a)[np.ix_(rows_a, rows_a)], additive(b)[np.ix_(rows_b, rows_b)]
-    A, B = a.mean[rows_a].reshape(-1, 2), b.mean[rows_b].reshape(-1, 2)
+    A, B = a.mean[rows_a].reshape(-1, d), b.mean[rows_b].reshape(-1, d)
     T = np.array(edge.transform)
 
-    def left(v: Floats) -> Floats:
-        return (A - v[:2] - B @ R(v[2]).T).ravel()
+    def left(e: Floats) -> Floats:
+        return (A - outside(space, moved(space, T, e), B)).ravel()
 
-    turn = np.kron(np.eye(3), R(T[2]))
+    turn = np.kron(np.eye(3), space.rotation(T))
     C = cov_a + turn @ cov_b @ turn.T
-    J = jacobian(left, T, 1e-3)
-    gradient = J.T @ np.linalg.solve(C, left(T))
+    J = slopes(left, space.pose)
+    gradient = J.T @ np.linalg.solve(C, left(np.zeros(space.pose)))
     information = J.T @ np.linalg.solve(C, J)
     assert np.abs(np.linalg.solve(information, gradient)).max() < 1e-9
-    assert np.allclose(edge.covariance, np.linalg.inv(information), rtol=1e-6)
+    assert np.allclose(edge.covariance, np.linalg.inv(information), rtol=1e-6, atol=1e-12)
 
 
 def test_a_tie_of_two_landmarks_by_hand() -> None:
@@ -80,6 +75,11 @@ def test_which_edges_there_are() -> None:
     assert View(atlas(held)).counts()["edges"] == 5
     for k in range(4):
         assert sorted(graph.neighbours(k)) == sorted(p for p in expected if k in p[1:])
+
+
+def test_in_space_a_tie_takes_three_landmarks() -> None:
+    held = chain([[0, 1, 5], [1, 2], [3, 0, 1], [3, 0, 1]], SOLID)
+    assert Graph(atlas(held)).pairs() == [("exit", 0, 1), ("exit", 1, 2), ("exit", 2, 3), ("tie", 2, 3)]
 
 
 def test_a_graph_that_grows_keeps_its_order() -> None:
@@ -117,33 +117,37 @@ def test_the_surest_path_is_taken(sure: bool, expected: list[int]) -> None:
     assert nx.shortest_path_length(graph.as_networkx(), 0, 3) == 1
 
 
+@both_spaces
 @both_filters
 @pytest.mark.parametrize("pair", [(0, 3), (1, 2), (0, 1)])
-def test_there_and_back(invariant: bool, pair: tuple[int, int]) -> None:
+def test_there_and_back(space: Space, invariant: bool, pair: tuple[int, int]) -> None:
     """One path leads along a chain, so the two directions are inverse of each other."""
-    view = View(atlas(chain([[0], [1], [2], [3]], seed=3, invariant=invariant)))
+    view = View(atlas(chain([[0], [1], [2], [3]], space, seed=3, invariant=invariant)))
     there, covariance, path = view.transform(*pair)
     back, covariance_back, path_back = view.transform(*pair[::-1])
     assert path == path_back[::-1]
-    assert compose(there, back) == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
-    assert np.allclose(covariance_back, inverse_covariance(there, covariance), rtol=1e-9, atol=1e-15)
+    assert space.compose(there, back) == pytest.approx(space.origin, abs=1e-12)
+    assert np.allclose(covariance_back, space.inverse_covariance(there, covariance), rtol=1e-9, atol=1e-14)
 
 
-def test_from_a_submap_to_itself() -> None:
-    T, covariance, path = View(atlas(chain([[0], [1]]))).transform(1, 1)
-    assert (T, path) == ((0.0, 0.0, 0.0), [1])
+@both_spaces
+def test_from_a_submap_to_itself(space: Space) -> None:
+    T, covariance, path = View(atlas(chain([[0], [1]], space))).transform(1, 1)
+    assert (T, path) == (space.origin, [1])
+    assert covariance.shape == (space.pose, space.pose)
     assert not covariance.any()
 
 
-def test_a_tie_agrees_with_the_exits_it_closes() -> None:
+@both_spaces
+def test_a_tie_agrees_with_the_exits_it_closes(space: Space) -> None:
     """On a drive with hardly any noise every path says the same."""
-    held = chain([[0, 1, 2], [2, 3], [3, 4], [4, 0, 1]], sigma=1e-7, seed=4)
+    held = chain([[0, 1, 2], [2, 3], [3, 4], [4, 0, 1, 2]], space, sigma=1e-7, seed=4)
     graph = Graph(atlas(held))
-    along: Pose = (0.0, 0.0, 0.0)
+    along = space.origin
     for s in held[:3]:
-        along = compose(along, s.pose)
+        along = space.compose(along, s.pose)
     tie = graph.edge("tie", 0, 3).transform
-    assert compose(inverse(along), tie) == pytest.approx((0.0, 0.0, 0.0), abs=1e-5)
+    assert space.compose(space.inverse(along), tie) == pytest.approx(space.origin, abs=1e-5)
 
 
 def test_what_is_not_connected() -> None:
@@ -169,31 +173,68 @@ def test_as_networkx() -> None:
     assert nx.is_connected(out)
 
 
+@both_spaces
 @both_filters
-def test_a_landmark_in_another_frame(invariant: bool) -> None:
+def test_a_landmark_in_another_frame(space: Space, invariant: bool) -> None:
     """By path: transformed with the frame's error, as independent as Bosse's graph has it."""
-    held = chain([[0], [1], [2]], seed=6, invariant=invariant)
-    view = View(atlas(held))
-    own = held[1].mean[3:5]
+    held = chain([[0], [1], [2]], space, seed=6, invariant=invariant)
+    view, d, p = View(atlas(held)), space.dim, space.pose
+    own = held[1].mean[p : p + d]
     T, by_frame, _ = view.transform(0, 1)
-    J = jacobian(lambda v: v[:2] + R(v[2]) @ v[3:], np.array([*T, *own]))
-    cov = additive(held[1])[3:, 3:]
+    J = slopes(lambda e: outside(space, moved(space, np.array(T), e[:p]), own + e[p:]), p + d)
+    cov = additive(held[1])[p:, p:]
     found = view.landmark("L1", "submap/0")
-    assert (found.x, found.y) == pytest.approx(tuple(np.array(T[:2]) + R(T[2]) @ own))
-    assert np.allclose(found.covariance, J[:, :3] @ by_frame @ J[:, :3].T + J[:, 3:] @ cov @ J[:, 3:].T, rtol=1e-7)
+    assert found.position == pytest.approx(outside(space, np.array(T), own))
+    expected = J[:, :p] @ by_frame @ J[:, :p].T + J[:, p:] @ cov @ J[:, p:].T
+    assert np.allclose(found.covariance, expected, rtol=1e-7, atol=1e-12)
     here = view.landmark("L1", "submap/1")
-    assert np.allclose(here.covariance, cov, rtol=1e-8)
-    assert minus(held[1].mean, held[1].mean, invariant).max() == 0.0
+    assert np.allclose(here.covariance, cov, rtol=1e-8, atol=1e-13)
 
 
-def test_a_tie_about_one_place_leaves_the_heading_open() -> None:
-    """Two landmarks at one place in either sub-map tell where they lie, and not how they are turned."""
-    one, two, *_ = chain([[0, 1], [0, 1], [0]], seed=3)
+@both_spaces
+def test_a_tie_about_one_place_leaves_the_rotation_open(space: Space) -> None:
+    """Landmarks at one place in either sub-map tell where they lie, and not how they are turned."""
+    d, p, common = space.dim, space.pose, list(range(space.dim))
+    one, two, *_ = chain([common, common, [0]], space, seed=3)
     mean_a, mean_b = one.mean.copy(), two.mean.copy()
-    mean_a[5:7], mean_b[3:7] = mean_a[3:5], 0.0
+    mean_a[p:], mean_b[p:] = np.tile(mean_a[p : p + d], d), 0.0
     P = two.covariance() * 1e-9
-    still = submap(1, [0, 1], mean_b, P, following=2)
-    edge = Graph(atlas([submap(0, [0, 1], mean_a, one.covariance(), following=1), still])).edge("tie", 0, 1)
-    assert edge.transform[:2] == pytest.approx(tuple(mean_a[3:5]), abs=0.2)
-    assert edge.covariance[2, 2] > 1.0
+    still = submap(1, common, mean_b, P, following=2)
+    edge = Graph(atlas([submap(0, common, mean_a, one.covariance(), following=1), still])).edge("tie", 0, 1)
+    assert edge.transform[:d] == pytest.approx(tuple(mean_a[p : p + d]), abs=0.2)
+    assert np.diag(edge.covariance)[d:].min() > 1.0
     assert np.all(np.linalg.eigvalsh(edge.covariance) > 0.0)
+
+
+@pytest.mark.parametrize(("off_line", "sure"), [(0.0, False), (0.1, False), (1.0, True)])
+def test_landmarks_on_a_line_leave_the_rotation_about_it_open(off_line: float, sure: bool) -> None:
+    """Noise of 0.1 m about a line looks like a lever, and is none."""
+    rng = np.random.default_rng(1)
+    points = np.array([[2.0, 0.0, 0.0], [4.0, off_line, 0.0], [7.0, 0.0, 0.0], [9.0, 0.0, 0.0]])
+    held = []
+    for k in range(2):
+        noisy = points + 0.1 * rng.normal(size=points.shape)
+        mean, P = np.concatenate([np.zeros(6), noisy.ravel()]), 0.01 * np.eye(18)
+        held.append(submap(k, [0, 1, 2, 3], mean, P, following=-1 if k else 1, invariant=False))
+    edge = Graph(atlas(held)).edge("tie", 0, 1)
+    assert (np.linalg.eigvalsh(edge.covariance[3:, 3:])[-1] < 1.0 / 9.0) == sure
+    if sure:
+        assert np.abs(edge.transform).max() < 0.4
+
+
+@both_spaces
+def test_the_fewest_landmarks_that_tie_may_lie_any_way_round(space: Space) -> None:
+    """The start in closed form finds half turns as well: at hardly any noise the transform is exact."""
+    rng, d = np.random.default_rng(5), space.dim
+    for _ in range(30):
+        T = np.concatenate([rng.normal(size=d), rng.normal(size=space.rot)])
+        T[d:] *= rng.uniform(0.9, 1.0) * np.pi / np.linalg.norm(T[d:])
+        far, near = 3.0 * rng.normal(size=(d, d)), np.empty((d, d))
+        near[:] = outside(space, T, far)
+        P = np.diag([1e-2] * space.pose + [1e-12] * d * d)
+        held = []
+        for k, at in enumerate((near, far)):
+            mean = np.concatenate([np.zeros(space.pose), at.ravel()])
+            held.append(submap(k, list(range(d)), mean, P, following=-1 if k else 1, invariant=False))
+        found = Graph(atlas(held)).edge("tie", 0, 1).transform
+        assert np.abs(apart(space, np.array(found), T)).max() < 1e-5

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from typing import get_args
 
 import numpy as np
@@ -13,68 +14,92 @@ from numpy.typing import NDArray
 from benchmarks import linear
 from submaps.atlas.joining import join
 from submaps.atlas.solution import Solution
-from submaps.atlas.state import AtlasState
 from submaps.atlas.view import View
 from submaps.config import FilterName
 from submaps.errors import MeasurementError, NumericalError
+from submaps.geometry.space import PLANE, SOLID, Space
 from submaps.mapper import Mapper
 from submaps.submap import Submap
-from tests.core.support import ODOMETRY, Dense, R, atlas, chain, cut, dense_join, laps, pack, submap
+from tests.core.atlases import (
+    Dense,
+    apart,
+    atlas,
+    both_filters,
+    both_spaces,
+    chain,
+    dense_join,
+    drive,
+    pack,
+    submap,
+)
+from tests.core.filters import after
+from tests.core.support import ODOMETRY, cut, laps
 
 Floats = NDArray[np.float64]
-both_filters = pytest.mark.parametrize("invariant", [True, False], ids=["invariant", "standard"])
 # Landmarks 0 and 1 join the last sub-maps to the first; 20 .. 29 are each held by one sub-map alone.
 LOOP = [[0, 1, 2, 20], [2, 3, 21, 22], [3, 4, 5, 23], [4, 24, 5], [6, 5, 25], [6, 0, 26, 1], [1, 0, 2, 27]]
 
 
-def solved(held: list[Submap]) -> tuple[AtlasState, Solution, Dense]:
-    state = atlas(held)
-    return state, join(state), dense_join(held)
+@cache
+def solved(space: Space, invariant: bool, seed: int) -> tuple[list[Submap], Solution, Dense]:
+    held = chain(LOOP, space, seed=seed, invariant=invariant)
+    return held, join(atlas(held)), dense_join(held)
 
 
 @both_filters
-@pytest.mark.parametrize("seed", range(2))
-def test_a_loop_equals_the_dense_optimum(invariant: bool, seed: int) -> None:
-    state, solution, dense = solved(chain(LOOP, seed=seed, invariant=invariant))
-    assert np.allclose(solution.frames, dense.frames[:-1], atol=1e-7)
-    assert np.allclose(solution.ends[0], dense.frames[-1], atol=1e-7)
+@pytest.mark.parametrize(("space", "seed"), [(PLANE, 0), (PLANE, 1), (SOLID, 1)])
+def test_a_loop_equals_the_dense_optimum(space: Space, seed: int, invariant: bool) -> None:
+    held, solution, dense = solved(space, invariant, seed)
+    assert np.abs(apart(space, solution.frames, dense.frames[:-1])).max() < 1e-7
+    assert np.abs(apart(space, solution.ends, dense.frames[-1])).max() < 1e-7
     assert solution.cost == pytest.approx(dense.cost, rel=1e-7)
     component = solution.component(0)
-    shared = [dense.landmarks[dense.numbers.index(i)] for i in component.landmarks]
+    shared = [dense.landmark(i) for i in component.landmarks]
     assert component.landmarks == [0, 1, 2, 3, 4, 5, 6]
     assert np.allclose(solution.landmarks, shared, atol=1e-7)
-    assert state.digest() == state.digest()
+    assert atlas(held).digest() == atlas(held).digest()
 
 
+@both_spaces
+def test_without_noise_the_world_comes_back(space: Space) -> None:
+    held = chain(LOOP, space, seed=2, sigma=1e-9)
+    frames, world = drive(space, np.random.default_rng(2), len(LOOP), 28)
+    solution = join(atlas(held))
+    assert np.abs(apart(space, solution.frames, np.array(frames[:-1]))).max() < 1e-7
+    view = View(replace(atlas(held), solution=solution))
+    for i in sorted({i for holds in LOOP for i in holds}):
+        assert view.landmark(f"L{i}").position == pytest.approx(world[i], abs=1e-7)
+
+
+@both_spaces
 @both_filters
-def test_joint_covariances_equal_the_dense_inverse(invariant: bool) -> None:
-    held = chain(LOOP, seed=1, invariant=invariant)
-    _, solution, dense = solved(held)
+def test_joint_covariances_equal_the_dense_inverse(space: Space, invariant: bool) -> None:
+    held, solution, dense = solved(space, invariant, 1)
     for k in range(len(held)):
         placed = solution.placed(k)
         expected = dense.joint(k, placed.shared)
-        scale = np.sqrt(np.diag(dense.joint(k + 1 if k == 0 else k, placed.shared) if k else expected))
+        scale = np.sqrt(np.diag(expected))
         scale[scale == 0.0] = 1.0
         assert np.abs((placed.covariance - expected) / np.outer(scale, scale)).max() < 1e-6
     found = solution.point(0, 5)
     assert found is not None
     point, covariance = found
     at = dense.landmark_at(5)
-    assert point == pytest.approx(dense.landmarks[dense.numbers.index(5)], abs=1e-7)
+    assert point == pytest.approx(dense.landmark(5), abs=1e-7)
     assert np.allclose(covariance, dense.covariance[np.ix_(at, at)], rtol=1e-5)
     assert solution.point(0, 21) is None
 
 
+@both_spaces
 @both_filters
-def test_landmarks_of_one_submap_are_recovered(invariant: bool) -> None:
-    held = chain(LOOP, seed=2, invariant=invariant)
-    _, solution, dense = solved(held)
+def test_landmarks_of_one_submap_are_recovered(space: Space, invariant: bool) -> None:
+    held, solution, dense = solved(space, invariant, 1)
     for k, s in enumerate(held):
         for number in s.slots():
             point, covariance = solution.placed(k).landmark(number)
             at = dense.landmark_at(number)
             expected = dense.covariance[np.ix_(at, at)]
-            assert np.allclose(point, dense.landmarks[dense.numbers.index(number)], atol=2e-7)
+            assert np.allclose(point, dense.landmark(number), atol=2e-7)
             # The second derivative by xi_theta is taken to first order.
             assert np.allclose(covariance, expected, rtol=2e-3, atol=2e-3 * float(np.trace(expected)))
 
@@ -103,16 +128,17 @@ def test_a_loop_solvable_by_hand(invariant: bool) -> None:
     assert solution.cost == pytest.approx(3 * third**2 / 0.01, rel=1e-3)
 
 
-def test_a_line_with_nothing_to_close_is_the_odometry_chain() -> None:
-    held = chain([[0], [1], [2]], seed=3)
-    _, solution, dense = solved(held)
-    pose = np.zeros(3)
+@both_spaces
+def test_a_line_with_nothing_to_close_is_the_odometry_chain(space: Space) -> None:
+    held = chain([[0], [1], [2]], space, seed=3)
+    solution, dense = join(atlas(held)), dense_join(held)
+    pose = np.zeros(space.pose)
     for k, s in enumerate(held):
-        assert np.allclose(solution.frames[k], pose, atol=1e-12)
-        pose = np.array([*(pose[:2] + R(pose[2]) @ s.mean[:2]), pose[2] + s.mean[2]])
+        assert np.abs(apart(space, solution.frames[k], pose)).max() < 1e-12
+        pose = after(space, pose, s.mean[: space.pose])
     assert solution.cost == pytest.approx(0.0, abs=1e-12)
     assert dense.cost == pytest.approx(0.0, abs=1e-12)
-    assert solution.landmarks.shape == (0, 2)
+    assert solution.landmarks.shape == (0, space.dim)
 
 
 def test_solving_in_steps_ends_where_solving_at_once_does() -> None:
@@ -173,6 +199,16 @@ def test_columns_carry_a_solution_bit_for_bit() -> None:
         assert np.array_equal(a.covariance, b.covariance)
         for number in a.submap.slots():
             assert all(np.array_equal(x, y) for x, y in zip(a.landmark(number), b.landmark(number), strict=True))
+
+
+@both_spaces
+def test_columns_of_a_loop_carry_it_too(space: Space) -> None:
+    state = atlas(chain(LOOP, space))
+    solution = join(state)
+    again = Solution.from_columns(state, solution.columns())
+    for k in range(state.submap_count):
+        assert np.array_equal(again.placed(k).covariance, solution.placed(k).covariance)
+        assert again.placed(k).frame == solution.placed(k).frame
 
 
 def test_columns_of_another_state_are_refused() -> None:

@@ -12,19 +12,18 @@ from submaps.atlas import ties
 from submaps.atlas.joining import join
 from submaps.atlas.solution import Components, factorised
 from submaps.atlas.state import AtlasState
-from submaps.consistency import chi_square_bound
+from submaps.geometry.space import Space
 from submaps.submap import Submap
-from tests.core.support import ODOMETRY, R, atlas, chain
+from tests.core.atlases import CONFIGS, atlas, both_filters, both_spaces, chain
 
 Floats = NDArray[np.float64]
-GATED = replace(ODOMETRY, gate=0.999)
 HOLDS = [[0, 1, 2], [1, 2, 3], [0, 2, 3, 4], [1, 3, 4]]
 
 
 def off(s: Submap, landmark: int, by: float) -> Submap:
     """The sub-map with one landmark first seen at a wrong place."""
     mean = s.mean.copy()
-    mean[s.slot_of(landmark) : s.slot_of(landmark) + 2] += by
+    mean[s.slot_of(landmark) : s.slot_of(landmark) + s.space.dim] += by
     return replace(s, mean=mean)
 
 
@@ -32,10 +31,19 @@ def replaced(submaps: list[Submap], k: int, landmark: int, by: float) -> list[Su
     return [off(s, landmark, by) if s.number == k else s for s in submaps]
 
 
+def gated(submaps: list[Submap]) -> AtlasState:
+    return atlas(submaps, replace(CONFIGS[submaps[0].space], gate=0.999))
+
+
+@both_spaces
+@both_filters
 @pytest.mark.parametrize(("k", "landmark"), [(2, 0), (1, 3), (3, 4)])
-def test_innovation_is_that_against_the_map_without_the_tie(k: int, landmark: int) -> None:
+def test_innovation_is_that_against_the_map_without_the_tie(
+    space: Space, invariant: bool, k: int, landmark: int
+) -> None:
     """From its definition: solve with the pair untied, and compare what each side says of the landmark."""
-    submaps = chain(HOLDS, seed=4, sigma=1e-4)  # small errors: the problem is linear
+    d = space.dim
+    submaps = chain(HOLDS, space, seed=4, sigma=1e-4, invariant=invariant)  # small errors: the problem is linear
     state = atlas(submaps)
     component = join(state).component(0)
     placed = component.placed(k, factorised(component).inverse_subset())
@@ -54,11 +62,11 @@ def test_innovation_is_that_against_the_map_without_the_tie(k: int, landmark: in
     assert b is not None
     factor = factorised(solved)
     start = solved.pattern.start
-    entries = [start[a], start[a] + 1, start[b], start[b] + 1]
+    entries = [start[v] + i for v in (a, b) for i in range(d)]
     columns = np.stack([factor.solve(np.eye(solved.pattern.size)[e])[entries] for e in entries], axis=1)
-    D = np.hstack([np.eye(2), -np.eye(2)])
-    d = solved.points[a - solved.poses] - solved.points[b - solved.poses]
-    assert found == pytest.approx(float(d @ np.linalg.solve(D @ columns @ D.T, d)), rel=1e-3)
+    D = np.hstack([np.eye(d), -np.eye(d)])
+    difference = solved.points[a - solved.poses] - solved.points[b - solved.poses]
+    assert found == pytest.approx(float(difference @ np.linalg.solve(D @ columns @ D.T, difference)), rel=1e-3)
 
 
 def component_values(component: object, state: AtlasState) -> None:
@@ -74,13 +82,13 @@ def component_values(component: object, state: AtlasState) -> None:
     solver.converge(1e-10)
 
 
-def test_a_wrong_first_sighting_is_taken_back() -> None:
-    good = chain(HOLDS, seed=1)
-    bad = atlas(replaced(good, 2, 0, 5.0), GATED)
-    solution = join(bad)
+@both_spaces
+def test_a_wrong_first_sighting_is_taken_back(space: Space) -> None:
+    good = chain(HOLDS, space, seed=1)
+    solution = join(gated(replaced(good, 2, 0, 5.0)))
     assert solution.untied == {(2, 0)}
-    honest = join(atlas([replace(s) for s in good], ODOMETRY))
-    without = join(atlas(without_landmark(good, 2, 0), ODOMETRY))
+    honest = join(atlas([replace(s) for s in good]))
+    without = join(atlas(without_landmark(good, 2, 0)))
     assert solution.frames == pytest.approx(without.frames, abs=1e-6)
     assert np.abs(solution.frames - honest.frames).max() < 0.2
 
@@ -93,30 +101,26 @@ def without_landmark(submaps: list[Submap], k: int, landmark: int) -> list[Subma
 
 
 def test_without_a_gate_every_tie_counts() -> None:
-    bad = atlas(replaced(chain(HOLDS, seed=1), 2, 0, 5.0), ODOMETRY)
-    assert join(bad).untied == frozenset()
+    assert join(atlas(replaced(chain(HOLDS, seed=1), 2, 0, 5.0))).untied == frozenset()
 
 
-def test_the_first_one_wrong_is_outvoted() -> None:
+@both_spaces
+def test_the_first_one_wrong_is_outvoted(space: Space) -> None:
     """The oldest holder is the wrong one: once two later ones agree, they keep the landmark."""
     holds = [[0, 1, 2, 5], [1, 2, 3, 5], [0, 2, 3, 4], [0, 1, 3, 4]]
-    bad = atlas(replaced(chain(holds, seed=2), 0, 0, 5.0), GATED)
-    assert join(bad).untied == {(0, 0)}
+    assert join(gated(replaced(chain(holds, space, seed=2), 0, 0, 5.0))).untied == {(0, 0)}
 
 
-def test_consistent_ties_stay() -> None:
-    dropped = [len(join(atlas(chain(HOLDS, seed=seed), GATED)).untied) for seed in range(40)]
+@both_spaces
+def test_consistent_ties_stay(space: Space) -> None:
+    dropped = [len(join(gated(chain(HOLDS, space, seed=seed))).untied) for seed in range(40)]
     assert sum(dropped) <= 2  # of 360 checks at 0.999
 
 
-def test_what_was_taken_back_stays_so_in_the_next_solve() -> None:
-    submaps = replaced(chain(HOLDS, seed=1), 2, 0, 5.0)
-    first = join(atlas(submaps, GATED))
-    again = join(replace(atlas(submaps, GATED), solution=first))
+@both_spaces
+def test_what_was_taken_back_stays_so_in_the_next_solve(space: Space) -> None:
+    submaps = replaced(chain(HOLDS, space, seed=1), 2, 0, 5.0)
+    first = join(gated(submaps))
+    again = join(replace(gated(submaps), solution=first))
     assert again.untied == first.untied
     assert again.frames == pytest.approx(first.frames, abs=1e-6)
-
-
-def test_bound_is_two_dimensional() -> None:
-    assert chi_square_bound(0.999, 2) == pytest.approx(-2.0 * np.log(0.001))
-    assert R(0.0) == pytest.approx(np.eye(2))

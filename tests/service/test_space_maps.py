@@ -298,7 +298,8 @@ def test_a_robot_starts_where_its_operator_says(server: Server) -> None:
         api.send({"sequence": 1, "steps": [{"t": 2.0}]}, "r2")
         found = api.get("/robots/r2/pose")
         np.testing.assert_allclose(pose_of(found), START, atol=1e-9)
-        np.testing.assert_allclose(found["covariance"], SPREAD, atol=1e-9)
+        # A pose without variance of its own is given (1e-4 m)².
+        np.testing.assert_allclose(found["covariance"], SPREAD, atol=2e-8)
         refused = api.http.put(f"{api.root}/robots/r3", json={"motion": {"model": "velocity", "sigma": [1, 1]}})
         assert problem(refused, 422)["errors"][0]["path"] == "motion.model"
 
