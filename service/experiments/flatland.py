@@ -206,10 +206,10 @@ def draw(figure: Figure, told: dict[str, list[list[Told]]], band: tuple[float, f
         axes = places[field]
         for w, (way, hue) in enumerate(hues.items()):
             mean = np.mean([one[w].nees for one in told[field]], axis=0)
-            axes.semilogy(told[field][0][w].steps[1:], mean[1:], color=hue, lw=1.6, label=way)
+            plot = axes.semilogy if field == "far" else axes.plot
+            plot(told[field][0][w].steps[1:], mean[1:], color=hue, lw=1.6, label=way)
         style.band(axes, *band, "95 % band")
         axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter("{x:g}" if field == "near" else "")
         style.dress(axes, f"{field}: mean NEES of the pose, {len(told[field])} runs", "step", "per degree of freedom")
     style.legend(places["far"], loc="upper left")
     ends = [one[0].landmark_rmse for one in told["far"]]

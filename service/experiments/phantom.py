@@ -163,9 +163,9 @@ def draw(figure: Figure, groups: dict[tuple[str, float], list[Watched]], gains: 
         _curves(
             noises, groups["standard EKF", noise], style.STANDARD, line, f"standard, noise × {noise:g}", median=True
         )
-        if ("invariant EKF", noise) in groups:
-            label = "right-invariant, each of them" if noise == 1.0 else None
-            _curves(noises, groups["invariant EKF", noise], style.INVARIANT, line, label, median=True)
+    for noise in NOISES:
+        label = "right-invariant, each of them" if noise == NOISES[0] else None
+        _curves(noises, groups["invariant EKF", noise], style.INVARIANT, "-", label, median=True)
     limits = {"xscale": "log", "ylim": (0.0, 5.6)}
     style.dress(falls, "every run", "scans of all landmarks", "heading σ (°)", **limits)
     style.dress(noises, "at any magnitude of the noise (medians)", "scans of all landmarks", "heading σ (°)", **limits)
