@@ -228,7 +228,7 @@ class Rejected(Wire):
     robot: str | None = Field(None, description="the other robot of an encounter; absent for a landmark")
     reason: str = Field(
         description="`gate`: beyond the map's gate; `unlikely`: used, but flagged; `singular`: no innovation could "
-        "be formed; `late`: the robot met had gone too far on"
+        "be formed; `late`: the robot met had gone too far on; `lost`: without motion, too little is seen for a pose"
     )
     nis: float | None = Field(description="normalised innovation squared, where one could be formed")
 
