@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiments.base import Experiment, Outcome, Runs, Table
+from service.experiments.rows import chosen
 from submaps.consistency import chi_square_bound
 from submaps.reference.moments import Exact, ShownRangeBearing, first_order
 
@@ -64,7 +65,7 @@ def cloud(task: tuple[float, int, np.random.SeedSequence]) -> Cloud:
         float(np.mean((turn / sigma) ** 2 + (along / SIGMA_RANGE) ** 2 < BOUND)),
     )  # fmt: skip
     spread = np.sqrt(np.diag(exact[1]))
-    information = mutual_information(density(sigma), *_window(sigma))
+    information = mutual_information(density(sigma), *window(sigma))
     return Cloud(
         sigma, points, (linear[0], linear[1]), (exact[0], exact[1]), shares,
         float(exact[1][0, 1] / (spread[0] * spread[1])), information,
@@ -116,7 +117,7 @@ def density(sigma: float) -> Callable[[Floats, Floats], Floats]:
     return p
 
 
-def _window(sigma: float) -> tuple[tuple[float, float], tuple[float, float]]:
+def window(sigma: float) -> tuple[tuple[float, float], tuple[float, float]]:
     """Where the density is more than nothing: seven σ each way."""
     reach = 7.0 * sigma
     outer = RANGE + 7.0 * SIGMA_RANGE
@@ -148,24 +149,15 @@ def run(runs: Runs) -> Outcome:
     """A cloud for each bearing noise of the lecture."""
     tasks = [(d, runs.count, seed) for d, seed in zip(DEGREES, runs.generators(len(DEGREES)), strict=True)]
     clouds = runs.each(cloud, tasks, "clouds")
-    keys = (
-        "sigma_deg", "inside_linear", "inside_exact", "inside_exponential", "area_exact_to_exponential", "correlation",
-        "sampled_correlation", "mutual_information_nats", "gaussian_correlation_of_that_information",
-    )  # fmt: skip
-    rows = tuple(_row(degrees, one) for degrees, one in zip(DEGREES, clouds, strict=True))
+    rows = [_row(degrees, one) for degrees, one in zip(DEGREES, clouds, strict=True)]
     last, before = clouds[-1], clouds[-2]
-    columns = (
-        "σ of the bearing (°)", "inside linearised 95 % ellipse", "inside exact-moment ellipse",
-        "inside 95 % of exponential coordinates", "area of the second to the third", "correlation of x, y",
-        "of the samples", "mutual information (nats)", "a Gaussian's |correlation| with that",
-    )  # fmt: skip
     return Outcome(
         f"At a bearing noise of 45° the linearised 95 % ellipse holds {last.inside[0]:.0%} of the points, that of the "
         f"exact moments {last.inside[1]:.0%} on {last.waste:.0f} times the area of the region in exponential "
         f"coordinates, which holds {last.inside[2]:.0%}; x and y are uncorrelated and share {last.information:.2f} "
         f"nats ({before.information:.2f} at 10°).",
-        Table(columns, rows),
-        {"noises": [dict(zip(keys, row, strict=True)) for row in rows]},
+        chosen(rows, _COLUMNS),
+        {"noises": rows},
         Table(
             ("sigma_deg", "x", "y"),
             tuple((d, *point) for d, c in zip(DEGREES, clouds, strict=True) for point in c.points.tolist()),
@@ -180,9 +172,21 @@ def run(runs: Runs) -> Outcome:
     )  # fmt: skip
 
 
-def _row(degrees: float, c: Cloud) -> tuple[float, ...]:
-    sampled = float(np.asarray(np.corrcoef(c.points.T))[0, 1])
-    return degrees, *c.inside, c.waste, c.correlation, sampled, c.information, _as_correlation(c.information)
+_COLUMNS = {
+    "sigma_deg": "σ (°)", "inside_linear": "linear", "inside_exact": "exact", "inside_exponential": "expon.",
+    "area_exact_to_exponential": "area ×", "sampled_correlation": "corr.", "mutual_information_nats": "nats",
+    "gaussian_correlation": "as corr.",
+}  # fmt: skip
+
+
+def _row(degrees: float, c: Cloud) -> dict[str, float]:
+    linear, exact, exponential = c.inside
+    return {
+        "sigma_deg": degrees, "inside_linear": linear, "inside_exact": exact, "inside_exponential": exponential,
+        "area_exact_to_exponential": c.waste, "correlation": c.correlation,
+        "sampled_correlation": float(np.asarray(np.corrcoef(c.points.T))[0, 1]),
+        "mutual_information_nats": c.information, "gaussian_correlation": _as_correlation(c.information),
+    }  # fmt: skip
 
 
 def _as_correlation(information: float) -> float:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from service.experiments.base import Runs
 from service.experiments.flatland import chunks
 from submaps.config import MapConfig, MotionConfig, ObservationConfig
 from submaps.mapper import Mapper
@@ -122,45 +123,53 @@ def joint(landmarks: int, form: ekf.Form, seen: int = 1) -> Callable[[int], obje
     return work
 
 
-def filters(rounds: int) -> Iterator[Series]:
+WORK: dict[str, Callable[[int, int], Callable[[int], object]]] = {
+    "prediction, standard": lambda n, _: predicting(n, invariant=False),
+    "prediction, right-invariant": lambda n, _: predicting(n, invariant=True),
+    "update, compiled": updating,
+    "update (I − WH) P": lambda n, seen: joint(n, ekf.naive, seen),
+    "update P − W S Wᵀ": lambda n, seen: joint(n, ekf.subtracted, seen),
+}
+
+
+@dataclass(frozen=True)
+class Task:
+    """What one worker times: a work of ``WORK`` with so many landmarks and observations, in so many rounds."""
+
+    work: str
+    sizes: tuple[tuple[int, int], ...]
+    rounds: int
+
+
+def measure(task: Task) -> list[float]:
+    """Microseconds of each size."""
+    make = WORK[task.work]
+    return [1e6 * seconds(make(landmarks, seen), task.rounds) for landmarks, seen in task.sizes]
+
+
+def filters(runs: Runs) -> Iterator[Series]:
     """Each operation over the sizes of one filter, and of the sub-maps that share the landmarks out."""
-
-    def series(
-        name: str, order: str, expected: float, make: Callable[[int], Callable[[int], object]], sizes: tuple[int, ...],
-        parts: int = 1,
-    ) -> Series:  # fmt: skip
-        found = Series(name, order, expected, "landmarks", parts, over=(SLOPE_FROM * parts, SLOPE_TO * parts))
-        for n in sizes:
-            found.cost[n * parts] = 1e6 * seconds(make(n), rounds)
-        return found
-
-    yield series("prediction, standard", "N", 1.0, lambda n: predicting(n, invariant=False), SIZES)
-    yield series("prediction, right-invariant", "N²", 2.0, lambda n: predicting(n, invariant=True), SIZES)
-    yield series("update, compiled", "N² M", 2.0, updating, SIZES)
-    yield series("update (I − WH) P", "N³", 3.0, lambda n: joint(n, ekf.naive), NAIVE_SIZES)
-    for parts in PARTS:
-        yield series(f"update, compiled, t = {parts}", "(N/t)² M", 2.0, updating, SIZES, parts)
-        yield series(
-            f"update (I − WH) P, t = {parts}",
-            "(N/t)³",
-            3.0,
-            lambda n: joint(n, ekf.naive),
-            NAIVE_SIZES,
-            parts,
-        )
+    planned = [
+        ("prediction, standard", "N", 1.0, SIZES, 1), ("prediction, right-invariant", "N²", 2.0, SIZES, 1),
+        ("update, compiled", "N² M", 2.0, SIZES, 1), ("update (I − WH) P", "N³", 3.0, NAIVE_SIZES, 1),
+    ]  # fmt: skip
+    for t in PARTS:
+        planned.append(("update, compiled", "(N/t)² M", 2.0, SIZES, t))
+        planned.append(("update (I − WH) P", "(N/t)³", 3.0, NAIVE_SIZES, t))
+    for work, order, expected, sizes, parts in planned:
+        name = work if parts == 1 else f"{work}, t = {parts}"
+        task = Task(work, tuple((n, 1) for n in sizes), runs.count)
+        (cost,) = runs.each(measure, [task], name)
+        found = dict(zip([n * parts for n in sizes], cost, strict=True))
+        yield Series(name, order, expected, "landmarks", parts, found, (SLOPE_FROM * parts, SLOPE_TO * parts))
 
 
-def seen_together(rounds: int) -> Iterator[Series]:
+def seen_together(runs: Runs) -> Iterator[Series]:
     """Cost of a step against the number M of its observations."""
-    ways: dict[str, Callable[[int], Callable[[int], object]]] = {
-        "compiled, one by one": lambda m: updating(SEEN_AT, m),
-        "P − W S Wᵀ, joint": lambda m: joint(SEEN_AT, ekf.subtracted, m),
-    }
-    for name, make in ways.items():
-        found = Series(name, "N² M", 1.0, "observations a step", over=(4, math.inf))
-        for m in SEEN:
-            found.cost[m] = 1e6 * seconds(make(m), rounds)
-        yield found
+    for work, name in (("update, compiled", "compiled, one by one"), ("update P − W S Wᵀ", "P − W S Wᵀ, joint")):
+        (cost,) = runs.each(measure, [Task(work, tuple((SEEN_AT, m) for m in SEEN), runs.count)], name)
+        found = dict(zip(SEEN, cost, strict=True))
+        yield Series(name, "N² M", 1.0, "observations a step", 1, found, (SEEN[2], math.inf))
 
 
 # -- the map of the main path --------------------------------------------------------------------
@@ -176,16 +185,25 @@ def street(landmarks: int) -> World:
     return World(points, velocity, 0.1, 6.5, 1, (0.05, 0.002), 0.1)
 
 
-def maps(rounds: int) -> Iterator[tuple[Series, Series]]:
+def maps(runs: Runs) -> Iterator[tuple[Series, Series]]:
     """Cost an observation on the way back, and bytes of the estimates, of maps whose sub-maps close at so many."""
-    drives = {n: (street(n), drive_through(street(n), np.random.default_rng(n)).batch) for n in MAP_SIZES}
     for capacity in CAPACITIES:
-        cost = Series(f"sub-maps of {capacity}", "1", 0.0, "landmarks")
-        size = Series(f"sub-maps of {capacity}", "N", 1.0, "landmarks")
-        for n, (world, batch) in drives.items():
-            found = [_driven(world, batch, capacity) for _ in range(rounds)]
-            cost.cost[n], size.cost[n] = min(one for one, _ in found), float(found[0][1])
-        yield cost, size
+        name = f"sub-maps of {capacity}"
+        (found,) = runs.each(drives, [(capacity, runs.count)], name)
+        cost, size = ({n: one[k] for n, one in zip(MAP_SIZES, found, strict=True)} for k in (0, 1))
+        yield Series(name, "1", 0.0, "landmarks", 1, cost), Series(name, "N", 1.0, "landmarks", 1, size)
+
+
+def drives(task: tuple[int, int]) -> list[tuple[float, float]]:
+    """Cost (µs) and bytes for each of ``MAP_SIZES``, sub-maps closing at so many landmarks, in so many rounds."""
+    capacity, rounds = task
+    out = []
+    for n in MAP_SIZES:
+        world = street(n)
+        batch = drive_through(world, np.random.default_rng(n)).batch
+        found = [_driven(world, batch, capacity) for _ in range(rounds)]
+        out.append((min(one for one, _ in found), float(found[0][1])))
+    return out
 
 
 def _driven(world: World, batch: Batch, capacity: int) -> tuple[float, int]:

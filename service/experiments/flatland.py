@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.experiments.base import Experiment, Outcome, Runs, Table
+from service.experiments.rows import chosen
 from submaps.atlas.joining import join
 from submaps.config import FilterName, MapConfig
 from submaps.consistency import average_bounds, nees
@@ -27,9 +28,9 @@ Floats = NDArray[np.float64]
 CHUNK = 20  # steps between two looks at the estimate
 FIELDS = {"near": NEAR, "far": FAR}
 WAYS: dict[str, tuple[FilterName, bool]] = {  # filter, and whether sub-maps may close
-    "standard EKF, one map": ("standard", False),
-    "right-invariant EKF, one map": ("invariant", False),
-    "right-invariant sub-maps, joined": ("invariant", True),
+    "standard EKF": ("standard", False),
+    "invariant EKF": ("invariant", False),
+    "sub-maps": ("invariant", True),
 }
 _OUT_OF_REACH = 1e9
 
@@ -132,37 +133,31 @@ def run(runs: Runs) -> Outcome:
     found = runs.each(drive, jobs, "drives")
     told = {name: found[k * runs.count : (k + 1) * runs.count] for k, name in enumerate(FIELDS)}
     band = average_bounds(0.95, 3, runs.count)
-    rows = tuple(
-        _row(field, way, [one[w] for one in told[field]], band) for field in FIELDS for w, way in enumerate(WAYS)
-    )
-    worst = {row[:2]: row[4] for row in rows}
+    rows = [_row(field, way, [one[w] for one in told[field]], band) for field in FIELDS for w, way in enumerate(WAYS)]
+    worst = {(row["field"], row["way"]): row["nees"] for row in rows}
     standard, single, joined = ([worst[field, way] for field in FIELDS] for way in WAYS)
     return Outcome(
         f"Mean NEES of the pose per degree of freedom, the whole drive (band at one moment {band[0]:.2f} to "
         f"{band[1]:.2f}): standard EKF {standard[0]:.2f} near and {standard[1]:.1f} far, right-invariant EKF "
         f"{single[0]:.2f} and {single[1]:.2f}, its sub-maps joined {joined[0]:.2f} and {joined[1]:.2f}.",
-        Table(tuple(_COLUMNS.values()), rows),
-        {"nees_band": list(band), "ways": [dict(zip(_COLUMNS, row, strict=True)) for row in rows]},
+        chosen(rows, _COLUMNS),
+        {"nees_band": list(band), "ways": rows},
         Table(_SERIES, tuple(_points(told))),
         lambda figure: draw(figure, told, band),
         (
             *(f"{name}: {_described(one)}" for name, one in FIELDS.items()),
             "speed 2 m/s, wheelbase 1.5 m, dt 0.2 s; landmarks are known apart and drawn anew for each run",
-            "the map's origin is the vehicle's first pose, known for certain; everything is joined at each look",
+            "the EKFs keep one map; the sub-maps are the right-invariant filter's, joined at each look, every "
+            f"{CHUNK} steps; the map's origin is the vehicle's first pose, known for certain",
         ),
         size=(12.0, 8.6),
     )  # fmt: skip
 
 
 _COLUMNS = {
-    "field": "field", "way": "way", "runs": "runs", "submaps": "sub-maps", "nees": "pose NEES, mean over the drive",
-    "nees_inside": "looks with the mean inside the band", "nees_end": "at the end",
-    "within_2_sigma": "errors within 2σ", "within_6_sigma": "within 6σ",
-    "rmse_m": "position RMSE (m)", "rmse_end_m": "at the end (m)",
-    "landmark_nees": "landmark NEES", "landmark_rmse_m": "landmark RMSE (m)",
+    "field": "field", "way": "way", "nees": "NEES", "nees_inside": "in band", "within_2_sigma": "in 2σ",
+    "within_6_sigma": "in 6σ", "rmse_m": "RMSE (m)", "landmark_nees": "map NEES",
 }  # fmt: skip
-
-
 _SERIES = (
     "field", "way", "run", "step", "nees", "error_x", "error_y", "error_psi", "sigma_x", "sigma_y", "sigma_psi",
 )  # fmt: skip
@@ -176,17 +171,19 @@ def _points(told: dict[str, list[list[Told]]]) -> Iterator[tuple[object, ...]]:
                     yield field, way, k, step, float(one.nees[i]), *one.errors[i].tolist(), *one.sigmas[i].tolist()
 
 
-def _row(field: str, way: str, told: list[Told], band: tuple[float, float]) -> tuple[object, ...]:
+def _row(field: str, way: str, told: list[Told], band: tuple[float, float]) -> dict[str, Any]:
     mean = np.mean([one.nees for one in told], axis=0)[1:]  # at the first look the pose is certain
     shares = np.abs(np.array([one.errors[1:] / one.sigmas[1:] for one in told]))
     square = np.array([np.sum(one.errors[:, :2] ** 2, axis=1) for one in told])
-    return (
-        field, way, len(told), float(np.mean([one.submaps for one in told])), float(mean.mean()),
-        float(np.mean((mean >= band[0]) & (mean <= band[1]))), float(mean[-1]), float(np.mean(shares <= 2.0)),
-        float(np.mean(shares <= 6.0)), float(np.sqrt(square.mean())), float(np.sqrt(square[:, -1].mean())),
-        float(np.mean([one.landmarks for one in told])),
-        float(np.sqrt(np.mean([one.landmark_rmse**2 for one in told]))),
-    )  # fmt: skip
+    return {
+        "field": field, "way": way, "runs": len(told), "submaps": float(np.mean([one.submaps for one in told])),
+        "nees": float(mean.mean()), "nees_inside": float(np.mean((mean >= band[0]) & (mean <= band[1]))),
+        "nees_end": float(mean[-1]),
+        "within_2_sigma": float(np.mean(shares <= 2.0)), "within_6_sigma": float(np.mean(shares <= 6.0)),
+        "rmse_m": float(np.sqrt(square.mean())), "rmse_end_m": float(np.sqrt(square[:, -1].mean())),
+        "landmark_nees": float(np.mean([one.landmarks for one in told])),
+        "landmark_rmse_m": float(np.sqrt(np.mean([one.landmark_rmse**2 for one in told]))),
+    }  # fmt: skip
 
 
 def _described(one: Field) -> str:
@@ -209,10 +206,10 @@ def draw(figure: Figure, told: dict[str, list[list[Told]]], band: tuple[float, f
         axes = places[field]
         for w, (way, hue) in enumerate(hues.items()):
             mean = np.mean([one[w].nees for one in told[field]], axis=0)
-            axes.semilogy(told[field][0][w].steps[1:], mean[1:], color=hue, lw=1.6, label=way)
+            plot = axes.semilogy if field == "far" else axes.plot
+            plot(told[field][0][w].steps[1:], mean[1:], color=hue, lw=1.6, label=way)
         style.band(axes, *band, "95 % band")
         axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter("{x:g}" if field == "near" else "")
         style.dress(axes, f"{field}: mean NEES of the pose, {len(told[field])} runs", "step", "per degree of freedom")
     style.legend(places["far"], loc="upper left")
     ends = [one[0].landmark_rmse for one in told["far"]]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.experiments.base import Experiment, Outcome, Runs, Table
+from service.experiments.rows import chosen
 from submaps.consistency import average_bounds
 from submaps.reference.moments import Exact, Rule, second_order
 from submaps.reference.phantom import Reading, Still, heading_gain, measured_gain, surroundings
@@ -55,7 +56,7 @@ def watch(job: Job) -> Watched:
     if job.filter in _RULES:
         heading, variance = still.watch_by_moments(SCANS_BY_MOMENTS, rng, _RULES[job.filter])
     else:
-        heading, variance = still.watch(SCANS, rng, invariant=job.filter == "right-invariant EKF")
+        heading, variance = still.watch(SCANS, rng, invariant=job.filter == "invariant EKF")
     noted = np.unique(np.geomspace(1, len(variance), _POINTS).astype(np.int64))
     error = heading[-1] - truth
     return Watched(noted, np.sqrt(variance[noted - 1]), float(error * error / variance[-1]))
@@ -65,28 +66,24 @@ def run(runs: Runs) -> Outcome:
     """Every filter over the same worlds and readings, at three magnitudes of noise; and the gain's closed form."""
     seeds = runs.generators(runs.count)
     jobs = [Job(name, 1.0, seed) for name in _RULES for seed in seeds[:MOST_BY_MOMENTS]]
-    jobs += [
-        Job(f"{name} EKF", noise, s) for name in ("standard", "right-invariant") for noise in NOISES for s in seeds
-    ]
+    jobs += [Job(f"{name} EKF", noise, s) for name in ("standard", "invariant") for noise in NOISES for s in seeds]
     watched = runs.each(watch, jobs, "runs")
     groups: dict[tuple[str, float], list[Watched]] = {}
     for job, found in zip(jobs, watched, strict=True):
         groups.setdefault((job.filter, job.noise), []).append(found)
     rows = [_row(name, noise, found) for (name, noise), found in groups.items()]
     gains = Gains.over(np.radians(np.linspace(-30.0, 30.0, 61)))
-    invariant = max(abs(w.sigma[-1] / SIGMA_HEADING - 1.0) for (n, _), g in groups.items() for w in g if n[0] == "r")
+    invariant = max(
+        abs(w.sigma[-1] / SIGMA_HEADING - 1.0) for (n, _), g in groups.items() for w in g if n == "invariant EKF"
+    )
     standard = max(math.degrees(w.sigma[-1]) for (n, _), g in groups.items() for w in g if n == "standard EKF")
-    columns = (
-        "filter", "noise ×", "runs", "scans", "heading σ at the end (°)", "least (°)", "most (°)", "NEES of heading",
-        "95 % band",
-    )  # fmt: skip
     return Outcome(
         f"Standing still for {SCANS:,} scans of {LANDMARKS} landmarks, the standard EKF's heading σ falls from 5° to "
         f"at most {standard:.2f}°; the right-invariant EKF's changes by {invariant:.1e} of itself. The closed form of "
         f"the gain on heading agrees with the compiled filter to {gains.worst:.0e} of the largest.",
-        Table(columns, tuple(rows)),
+        chosen(rows, _COLUMNS),
         {
-            "filters": [dict(zip(("filter", "noise", *_KEYS), row, strict=True)) for row in rows],
+            "filters": rows,
             "invariant_relative_change": invariant, "standard_worst_deg": standard,
             "gain_closed_form_against_numbers": gains.worst,
         },
@@ -109,17 +106,19 @@ def run(runs: Runs) -> Outcome:
     )  # fmt: skip
 
 
-_KEYS = ("runs", "scans", "median_deg", "least_deg", "most_deg", "nees", "nees_band")
+_COLUMNS = {
+    "filter": "filter", "noise": "noise ×", "runs": "runs", "median_deg": "last σ (°)", "least_deg": "least",
+    "most_deg": "most", "nees": "NEES",
+}  # fmt: skip
 
 
-def _row(name: str, noise: float, found: list[Watched]) -> tuple[Any, ...]:
+def _row(name: str, noise: float, found: list[Watched]) -> dict[str, Any]:
     ends = np.degrees([w.sigma[-1] for w in found])
-    low, high = average_bounds(0.95, 1, len(found))
-    nees = float(np.mean([w.nees for w in found]))
-    return (
-        name, noise, len(found), int(found[0].scans[-1]), float(np.median(ends)), float(ends.min()), float(ends.max()),
-        nees, f"{low:.2f} to {high:.2f}",
-    )  # fmt: skip
+    return {
+        "filter": name, "noise": noise, "runs": len(found), "scans": int(found[0].scans[-1]),
+        "median_deg": float(np.median(ends)), "least_deg": float(ends.min()), "most_deg": float(ends.max()),
+        "nees": float(np.mean([w.nees for w in found])), "nees_band": average_bounds(0.95, 1, len(found)),
+    }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -154,7 +153,7 @@ def draw(figure: Figure, groups: dict[tuple[str, float], list[Watched]], gains: 
     style.head(figure, "phantom", "a vehicle that stands still cannot learn its heading from what it sees")
     (falls, noises), (of_range, of_bearing) = figure.subplots(2, 2)
     hues = {
-        "standard EKF": style.STANDARD, "right-invariant EKF": style.INVARIANT, "second order": style.SECOND,
+        "standard EKF": style.STANDARD, "invariant EKF": style.INVARIANT, "second order": style.SECOND,
         "exact moments": style.EXACT,
     }  # fmt: skip
     for (name, noise), found in groups.items():
@@ -164,9 +163,9 @@ def draw(figure: Figure, groups: dict[tuple[str, float], list[Watched]], gains: 
         _curves(
             noises, groups["standard EKF", noise], style.STANDARD, line, f"standard, noise × {noise:g}", median=True
         )
-        if ("right-invariant EKF", noise) in groups:
-            label = "right-invariant, each of them" if noise == 1.0 else None
-            _curves(noises, groups["right-invariant EKF", noise], style.INVARIANT, line, label, median=True)
+    for noise in NOISES:
+        label = "right-invariant, each of them" if noise == NOISES[0] else None
+        _curves(noises, groups["invariant EKF", noise], style.INVARIANT, "-", label, median=True)
     limits = {"xscale": "log", "ylim": (0.0, 5.6)}
     style.dress(falls, "every run", "scans of all landmarks", "heading σ (°)", **limits)
     style.dress(noises, "at any magnitude of the noise (medians)", "scans of all landmarks", "heading σ (°)", **limits)

@@ -16,33 +16,29 @@ from service.experiments.costs import (
     maps,
     seen_together,
 )
+from service.experiments.rows import chosen
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COLUMNS = ("what", "unit", "against", "order", "slope", "expected", "smallest", "largest", "there")
+_COLUMNS = {"what": "what", "order": "order", "slope": "slope", "smallest": "at the least", "largest": "at the most"}
 Measured = dict[str, list[Series]]  # by what is drawn together
 
 
 def run(runs: Runs) -> Outcome:
-    """Everything in this process, one thing after the other: two cores at once would share a cache."""
-    measured: Measured = {"one filter": list(filters(runs.count)), "together": list(seen_together(runs.count))}
-    both = list(maps(runs.count))
+    """One thing after the other, each in one worker: two at once would share a cache."""
+    measured: Measured = {"one filter": list(filters(runs)), "together": list(seen_together(runs))}
+    both = list(maps(runs))
     measured["map"], measured["bytes"] = [cost for cost, _ in both], [size for _, size in both]
     whole = {n: 8.0 * (3 + 2 * n) ** 2 for n in MAP_SIZES}
     measured["bytes"].insert(0, Series("one map, P whole", "N²", 2.0, "landmarks", cost=whole))
     each = [(one, "bytes" if group == "bytes" else "µs") for group, found in measured.items() for one in found]
-    rows = tuple(_row(one, unit) for one, unit in each)
+    rows = [_row(one, unit) for one, unit in each]
     return Outcome(
         _summary(measured),
-        Table(_COLUMNS, rows),
-        {
-            "series": [
-                {**dict(zip(_COLUMNS, row, strict=True)), "values": one.cost}
-                for row, (one, _) in zip(rows, each, strict=True)
-            ]
-        },
+        chosen(rows, _COLUMNS),
+        {"series": rows},
         Table(
             ("what", "unit", "against", "n", "value"),
             tuple((one.name, unit, one.by, n, value) for one, unit in each for n, value in one.cost.items()),
@@ -78,10 +74,13 @@ def _gain(named: dict[str, Series], name: str, parts: int) -> float:
     return named[name].cost[SLOPE_TO] / named[f"{name}, t = {parts}"].cost[SLOPE_TO]
 
 
-def _row(one: Series, unit: str) -> tuple[object, ...]:
-    least, most = min(one.cost), max(one.cost)
-    ends = one.cost[least], one.cost[most], f"{least:,} … {most:,}"
-    return one.name, unit, one.by, f"O({one.order})", one.slope, one.expected, *ends
+def _row(one: Series, unit: str) -> dict[str, object]:
+    least, most = (f"{one.cost[n]:,.3g} {unit}, {n:,}" for n in (min(one.cost), max(one.cost)))
+    return {
+        "what": f"{one.name}, {unit}" if unit == "bytes" else one.name, "unit": unit, "against": one.by,
+        "order": f"O({one.order})", "slope": one.slope, "expected": one.expected, "smallest": least, "largest": most,
+        "values": one.cost,
+    }  # fmt: skip
 
 
 def draw(figure: Figure, measured: Measured) -> None:

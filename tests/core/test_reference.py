@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import cast
 
 import numpy as np
@@ -10,6 +12,8 @@ import pytest
 from numpy.typing import NDArray
 
 from submaps.config import MotionConfig, ObservationConfig
+from submaps.filtering import unscented
+from submaps.filtering.unscented import Scaling
 from submaps.geometry.space import PLANE, SOLID, Space
 from submaps.reference import ekf, moment_filter
 from submaps.reference.compiled import Compiled, KernelFilter
@@ -20,7 +24,7 @@ from submaps.reference.moments import Exact, Rule, SeenRangeBearing, ShownRangeB
 from submaps.reference.motion import increment
 from submaps.reference.observation import Point, Sighting, inverted
 from submaps.reference.retraction import RETRACTIONS, Retraction, Standard, after
-from submaps.reference.space import LINE, Geometry
+from submaps.reference.space import LINE, Geometry, turned
 from tests.core.filters import SENSORS
 from tests.core.support import random_covariance
 from tests.core.test_jacobians import POINTS
@@ -119,21 +123,67 @@ def test_the_three_forms_of_an_update_agree(space: Space, error: str) -> None:
     assert_equal(Estimate(retraction.plus(estimate.x, xi), P), joint)
 
 
-@errors
-@pytest.mark.parametrize("space", [LINE, PLANE, SOLID], ids=["line", "plane", "space"])
-def test_a_linear_world_has_one_answer(space: Geometry, error: str) -> None:
-    """EKF, invariant EKF, closed form; joint or landmark by landmark: with known rotations all are one.
+def by_ekf(record: Record, error: str, *, each: bool = False) -> tuple[Floats, Floats]:
+    """Position and landmarks in the closed form's order, by an EKF."""
+    *_, (estimate, slots) = filtered(record, retraction_of(error, record.space), each=each)
+    rows = in_order(record.space, slots)
+    return estimate.x[rows], estimate.P[np.ix_(rows, rows)]
 
-    A filter that this package gains is one more row here.
-    """
+
+def by_ukf(record: Record) -> tuple[Floats, Floats]:
+    """The same by the UKF on (position, landmarks); the rotations, being known, are no part of the state."""
+    space, d, scaling = record.space, record.space.dim, Scaling()
+    x, P, theta, order = record.start[:d], record.P0, record.start[d:], list[int]()
+    for k, seen in enumerate(record.seen):
+        if k:
+            step, noise = np.zeros_like(x), np.zeros_like(P)
+            R = space.rotation_of(theta)
+            step[:d], noise[:d, :d] = R @ record.increments[k - 1][:d], R @ record.Q @ R.T
+            moved = unscented.predict(x, P, partial(np.add, step), noise, np.add, np.subtract, scaling)
+            x, P, theta = moved.state, moved.covariance, turned(space, theta, record.increments[k - 1][d:])
+        R = space.rotation_of(theta)
+        for i, z in sorted(seen, key=lambda one: one[0] not in order):
+            if i in order:
+                at = d + d * order.index(i)
+
+                def observe(states: Floats, at: int = at, R: Floats = R) -> Floats:
+                    return np.asarray((states[..., at : at + d] - states[..., :d]) @ R)
+
+                updated = unscented.update(x, P, z, observe, record.R, np.add, scaling)
+                x, P = updated.state, updated.covariance
+            else:
+                noise = np.zeros((len(x) + d,) * 2)
+                noise[-d:, -d:] = R @ record.R @ R.T
+
+                def shown(states: Floats, at: Floats = R @ z) -> Floats:
+                    return np.concatenate([states, states[..., :d] + at], axis=-1)
+
+                grown = unscented.predict(x, P, shown, noise, np.add, np.subtract, scaling)
+                x, P = grown.state, grown.covariance
+                order.append(i)
+    rows = np.array([*range(d), *(d + d * order.index(i) + a for i in sorted(order) for a in range(d))])
+    return x[rows], P[np.ix_(rows, rows)]
+
+
+# A filter that this package gains is one more row.
+FILTERS: dict[str, Callable[[Record], tuple[Floats, Floats]]] = {
+    "EKF": partial(by_ekf, error="standard"),
+    "EKF, landmark by landmark": partial(by_ekf, error="standard", each=True),
+    "invariant EKF": partial(by_ekf, error="invariant"),
+    "invariant EKF, landmark by landmark": partial(by_ekf, error="invariant", each=True),
+    "UKF": by_ukf,
+}
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("space", [LINE, PLANE, SOLID], ids=["line", "plane", "space"])
+def test_a_linear_world_has_one_answer(space: Geometry, name: str) -> None:
+    """With known rotations every filter is the closed form, joint or landmark by landmark."""
     record = linear_drive(space, 6)
     mean, covariance = closed_form(record, 6)
-    retraction = retraction_of(error, space)
-    for each in (False, True):
-        *_, (estimate, slots) = filtered(record, retraction, each=each)
-        rows = in_order(space, slots)
-        assert np.abs(estimate.x[rows] - mean).max() < 1e-10
-        assert np.abs(estimate.P[np.ix_(rows, rows)] - covariance).max() < 1e-10
+    x, P = FILTERS[name](record)
+    assert np.abs(x - mean).max() < 1e-10
+    assert np.abs(P - covariance).max() < 1e-10
 
 
 def linear_drive(space: Geometry, landmarks: int) -> Record:
