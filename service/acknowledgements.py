@@ -32,6 +32,7 @@ def as_duplicate(acknowledgement: bytes) -> bytes:
 
 
 def _acknowledgement(sequence: int, batch: Batch, report: Report, version: int) -> bytes:
+    found = {} if report.found is None else {"landmarks": report.found}
     return orjson.dumps({
         "sequence": sequence,
         "steps": batch.steps,
@@ -42,6 +43,7 @@ def _acknowledgement(sequence: int, batch: Batch, report: Report, version: int) 
         "map_version": version,
         "duplicate": False,
         "pose": {"frame": f"submap/{report.submap}", "t": report.t, **pose_answer(report.pose)},
+        **found,
     })  # fmt: skip
 
 

@@ -73,7 +73,7 @@ async def _take_in(request: Request, map_: str, robot: str) -> bytes:
     type_ = media_type(request, [ROWS_TYPE, COLUMNS_TYPE])
     body = await read_body(request)
     # From here to admission nothing else runs on the event loop, so the models are those of its place.
-    decoded = decode(type_, body, hosted.models(robot), robot)
+    decoded = decode(type_, body, hosted.models(robot), robot, hosted.core.association)
     return await engine.ingest(hosted, robot, decoded)
 
 

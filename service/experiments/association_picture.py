@@ -11,18 +11,19 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from service.exporters.picture import FAINT, FORWARD, INK, PAPER, ROBOTS, TREE
+from service.exporters.picture import AXES, FAINT, INK, PAPER, ROBOTS, TREE
 
 if TYPE_CHECKING:
     from service.experiments.association import Blunder
     from service.experiments.association_runs import Example
 
+_RED = AXES[0]
 _HUES = {"known": FAINT, "greedy": ROBOTS[0], "assignment": ROBOTS[1], "joint": TREE}
 _NAMES = {"known": "known", "greedy": "greedy", "assignment": "assignment", "joint": "joint compatibility"}
 _COURSES = {
     "right, then joint": (FAINT, "right, the rest by joint compatibility"),
     "wrong, then known": (ROBOTS[1], "wrong, the rest known"),
-    "wrong, then joint": (FORWARD, "wrong, the rest by joint compatibility"),
+    "wrong, then joint": (_RED, "wrong, the rest by joint compatibility"),
 }
 _REACH = 7.0  # m, of the example
 
@@ -75,11 +76,11 @@ def _draw_example(axes: Axes, shown: Example | None) -> None:
                 axes.plot(*np.stack([reading, shown.landmarks[landmark]]).T, color=hue, lw=width, zorder=layer,
                           alpha=0.5 if layer == 2 else 1.0, solid_capstyle="round")  # fmt: skip
     axes.plot(*shown.landmarks.T, ls="", marker="o", ms=6, mfc=PAPER, mec=INK, mew=1.2, zorder=4)
-    axes.plot(*shown.readings.T, ls="", marker="x", ms=5, mec=FORWARD, mew=1.6, zorder=5)
+    axes.plot(*shown.readings.T, ls="", marker="x", ms=5, mec=_RED, mew=1.6, zorder=5)
     axes.plot(0.0, 0.0, marker=(3, 0, -90), ms=9, color=INK, zorder=5)
     _legend(axes, [
         Line2D([], [], ls="", marker="o", ms=6, mfc=PAPER, mec=INK, label="landmark, as predicted"),
-        Line2D([], [], ls="", marker="x", ms=5, mec=FORWARD, mew=1.6, label="reading"),
+        Line2D([], [], ls="", marker="x", ms=5, mec=_RED, mew=1.6, label="reading"),
         Line2D([], [], color=TREE, lw=4.5, alpha=0.5, label="joint: all right"),
         Line2D([], [], color=ROBOTS[0], lw=1.6, label=f"greedy: {shown.mistakes} wrong"),
     ])  # fmt: skip

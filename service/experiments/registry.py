@@ -8,6 +8,7 @@ from service.experiments.base import Experiment
 
 # Name -> module that exposes it as EXPERIMENT.
 REGISTRY = {
+    "association": "service.experiments.association",
     "banana": "service.experiments.banana",
     "beads": "service.experiments.beads",
     "flatland": "service.experiments.flatland",

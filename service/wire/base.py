@@ -40,6 +40,10 @@ Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 Turn = Annotated[float, Field(ge=-LARGEST_TURN, le=LARGEST_TURN)]
 Seconds = Annotated[float, Field(ge=-LATEST, le=LATEST, description="the robot's own clock, s")]
 LandmarkId = Annotated[str, Field(min_length=1, max_length=128, examples=["7"]), AfterValidator(_printable)]
+Landmark = Annotated[
+    LandmarkId | None,
+    Field(description="its id; absent in a map that finds out which landmark an observation is of"),
+]
 FAIL_FAST = Field(fail_fast=True)
 # A wrong list of a million numbers is one error, not a million.
 Numbers = Annotated[list[Number], FAIL_FAST]

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field
 
-from service.wire.base import FAIL_FAST, LandmarkId, Matrix, Name, Turn, Wire
+from service.wire.base import FAIL_FAST, Landmark, Matrix, Name, Turn, Wire
 from service.wire.measurements import MET, Sequence, Step, Steps
 
 
@@ -20,7 +20,7 @@ class BearingPoint(Wire):
 class BearingObservation(BearingPoint):
     """A landmark in a direction from the sensor."""
 
-    landmark: LandmarkId
+    landmark: Landmark = None
 
 
 class BearingEncounter(BearingPoint):

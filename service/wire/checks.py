@@ -22,6 +22,7 @@ LEAST_VARIANCE = 1e-12
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+_NAMED = "this map's association is known: each observation names its landmark"
 # What the sender calls the entry of a number.
 PathOf = Callable[[int], str]
 
@@ -86,6 +87,26 @@ def check_others(robot: str, met: Sequence[str], path: PathOf) -> None:
     """Check that a robot meets others only; raises ``Problem`` (422)."""
     if robot in met:
         raise invalid(path(met.index(robot)), f"got {robot!r}, the robot itself, expected another")
+
+
+def names_of(given: Sequence[str | None], association: str, path: PathOf) -> list[str]:
+    """Return the landmarks' ids as a batch has them: empty where the map finds them itself.
+
+    Raises ``Problem`` (422) where one is absent that the map needs, or given that it does not take.
+    """
+    if association == "known":
+        if None in given:
+            raise invalid(path(given.index(None)), f"required, but absent; {_NAMED}")
+        return [name for name in given if name is not None]
+    for i, name in enumerate(given):
+        if name is not None:
+            raise invalid(path(i), f"got {shown(name)}, expected none; {unnamed(association)}")
+    return [""] * len(given)
+
+
+def unnamed(association: str) -> str:
+    """Return why observations come without landmarks."""
+    return f"this map's association is {association}: it finds out which landmark an observation is of"
 
 
 def check_square(path: str, matrix: list[list[float]], size: int) -> None:

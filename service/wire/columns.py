@@ -25,7 +25,9 @@ from service.wire.checks import (
     check_turns,
     expected,
     in_space,
+    names_of,
     of_sigma,
+    unnamed,
 )
 from service.wire.measurements import CartesianRows, Columns, EncounterColumns, ObservationColumns, RangeBearingRows
 from service.wire.rows import from_rows
@@ -60,9 +62,10 @@ class Decoded:
     time_path: PathOf
 
 
-def decode(content_type: str, body: bytes, models: Models, robot: str) -> Decoded:
+def decode(content_type: str, body: bytes, models: Models, robot: str, association: str = "known") -> Decoded:
     """Return the measurements of ``robot``, which has these models, in a body of one of the two content types.
 
+    ``association`` is the map's: whether observations name their landmarks.
     Raises ``Problem``: 400, 415 or 422.
     """
 
@@ -74,12 +77,12 @@ def decode(content_type: str, body: bytes, models: Models, robot: str) -> Decode
 
     if content_type == COLUMNS_TYPE:
         columns = parse(_COLUMNS, body, hint)
-        return Decoded(columns.sequence, from_columns(columns, models, robot), "t.{}".format)
+        return Decoded(columns.sequence, from_columns(columns, models, robot, association), "t.{}".format)
     rows = parse(_ROWS[models.observation.model], body, hint)
-    return Decoded(rows.sequence, from_rows(rows, models, robot), "steps.{}.t".format)
+    return Decoded(rows.sequence, from_rows(rows, models, robot, association), "steps.{}.t".format)
 
 
-def from_columns(columns: Columns, models: Models, robot: str) -> Batch:
+def from_columns(columns: Columns, models: Models, robot: str, association: str = "known") -> Batch:
     """Return columns of ``robot`` as a batch; raises ``Problem`` (422)."""
     t = np.array(columns.t)
     control_step, control = _controls(columns, models, t.size)
@@ -89,7 +92,7 @@ def from_columns(columns: Columns, models: Models, robot: str) -> Batch:
         raise invalid("control_covariance", f"only an odometry may carry one; {expected(models)}")
     if columns.encounter is not None and in_space(models):
         raise invalid("encounter", NOT_IN_SPACE)
-    seen = _sightings(columns, models.observation, robot)
+    seen = _sightings(columns, models.observation, robot, association)
     batch = Batch(
         t=t,
         control_step=control_step,
@@ -136,19 +139,28 @@ class _Sightings:
     covariance: Floats | None
 
 
-def _sightings(columns: Columns, model: ObservationConfig, robot: str) -> _Sightings:
+def _sightings(columns: Columns, model: ObservationConfig, robot: str, association: str) -> _Sightings:
     seen, met = columns.observation, columns.encounter
     steps = len(columns.t)
     if seen is None:
         landmarks = _Sightings(_NO_INTS, (), np.empty((len(model.channels), 0)), None)
     else:
-        landmarks = _checked("observation", seen, "landmark", seen.landmark, model, steps)
+        landmarks = _checked("observation", seen, "landmark", _names(seen, association), model, steps)
     if met is None:
         return landmarks
     robots = _checked("encounter", met, "robot", met.robot, model, steps)
     check_others(robot, met.robot, "encounter.robot.{}".format)
     names = tuple(encounter(other, columns.t[k]) for other, k in zip(met.robot, met.step, strict=True))
     return _merged(landmarks, _Sightings(robots.step, names, robots.z, robots.covariance), model)
+
+
+def _names(seen: ObservationColumns, association: str) -> list[str]:
+    where = "observation.landmark"
+    if seen.landmark is None:
+        return names_of([None] * len(seen.step), association, lambda _: where)
+    if association != "known":
+        raise invalid(where, f"expected none; {unnamed(association)}")
+    return seen.landmark
 
 
 def _checked(

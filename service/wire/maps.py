@@ -4,24 +4,52 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, TypeAdapter
+from pydantic import ConfigDict, Field, TypeAdapter, model_validator
 
 from service.wire.base import LARGEST, Name, Wire
 from service.wire.models import AnyMotion, Observation, motion_to_core, observation_to_core, refusals
-from submaps.config import MapConfig, SpaceName
+from submaps.config import DEFAULT_GATE, DEFAULT_NEW_GATE, AssociationName, MapConfig, SpaceName
 
 
 def _is_plane(space: str) -> bool:
     return space == "se2"
 
 
-class Association(Wire):
-    """How an observation finds its landmark."""
+def _is_absent(gate: float | None) -> bool:
+    return gate is None
 
-    method: Literal["known"] = Field("known", description="each observation names its landmark")
-    gate: Annotated[float, Field(gt=0, lt=1)] | None = Field(
-        None, description="chi-square probability beyond which an observation is rejected"
+
+class Association(Wire):
+    """How an observation finds its landmark.
+
+    With another method than `known` observations come without `landmark`, and `gate` and `new_gate` have
+    defaults, which the map keeps.
+    """
+
+    method: AssociationName = Field(
+        "known",
+        description="`known`: each observation names its landmark; `greedy`: the likeliest pair first; `assignment`: "
+        "the likeliest pairs of a step as a whole; `joint`: the most pairs of a step that fit together",
     )
+    gate: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        None,
+        description="chi-square probability beyond which an observation is rejected; where landmarks are not named, "
+        f"beyond which it is not of a landmark ({DEFAULT_GATE})",
+    )
+    new_gate: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        None,
+        exclude_if=_is_absent,
+        description="where landmarks are not named: chi-square probability beyond which, from all landmarks, an "
+        f"observation begins one ({DEFAULT_NEW_GATE}); between the two gates it is rejected as ambiguous",
+    )
+
+    @model_validator(mode="after")
+    def _fill_in(self) -> Association:
+        # Here and not where they are used: a map keeps the gates it was made with.
+        if self.method != "known":
+            self.gate = DEFAULT_GATE if self.gate is None else self.gate
+            self.new_gate = DEFAULT_NEW_GATE if self.new_gate is None else self.new_gate
+        return self
 
 
 class Submap(Wire):
@@ -80,7 +108,9 @@ class Config(Wire):
                 motion=motion,
                 observation=observation,
                 filter=self.filter,
+                association=self.association.method,
                 gate=self.association.gate,
+                new_gate=self.association.new_gate,
                 max_landmarks=self.submap.max_landmarks,
                 max_heading_sigma=self.submap.max_heading_sigma,
                 max_position_sigma=self.submap.max_position_sigma,

@@ -10,6 +10,7 @@ from service.wire.answers import Pose, SpatialPose
 from service.wire.base import (
     FAIL_FAST,
     Indices,
+    Landmark,
     LandmarkId,
     Matrices,
     Matrix,
@@ -76,13 +77,13 @@ class RangeBearingPoint(Wire):
 class CartesianObservation(CartesianPoint):
     """A landmark at a point in the sensor's frame."""
 
-    landmark: LandmarkId
+    landmark: Landmark = None
 
 
 class RangeBearingObservation(RangeBearingPoint):
     """A landmark at a distance and a direction from the sensor."""
 
-    landmark: LandmarkId
+    landmark: Landmark = None
 
 
 class CartesianEncounter(CartesianPoint):
@@ -178,7 +179,9 @@ class ObservationColumns(Wire):
     """Observations in the order of their steps."""
 
     step: Indices = Field(description="the step of each observation, counted from 0; does not fall")
-    landmark: Annotated[list[LandmarkId], FAIL_FAST]
+    landmark: Annotated[list[LandmarkId], FAIL_FAST] | None = Field(
+        None, description="ids; absent in a map that finds out which landmark an observation is of"
+    )
     z: Matrix = Field(description="one list a channel of the observation model, in the order of its rows' fields")
     covariance: Matrices | None = Field(
         None, description="for each observation, channels x channels, in place of the robot's sigma"
@@ -224,11 +227,15 @@ class Rejected(Wire):
 
     step: int
     observation: int = Field(description="counted from 0 within the observations, or the encounters, of its step")
-    landmark: str | None = Field(None, description="absent for an encounter")
+    landmark: str | None = Field(
+        None, description="absent for an encounter; of an ambiguous observation the nearest landmark"
+    )
     robot: str | None = Field(None, description="the other robot of an encounter; absent for a landmark")
     reason: str = Field(
         description="`gate`: beyond the map's gate; `unlikely`: used, but flagged; `singular`: no innovation could "
-        "be formed; `late`: the robot met had gone too far on"
+        "be formed; `late`: the robot met had gone too far on; `lost`: without motion, too little is seen for a pose; "
+        "`ambiguous`: neither near enough to a landmark to be of it nor far enough from all to be another, or second "
+        "to one that is nearer"
     )
     nis: float | None = Field(description="normalised innovation squared, where one could be formed")
 
@@ -277,3 +284,8 @@ class Acknowledgement(Wire):
     map_version: int
     duplicate: bool = Field(description="this batch had been acknowledged before")
     pose: RobotPose | SpatialRobotPose
+    landmarks: list[str | None] | None = Field(
+        None,
+        description="in a map that finds landmarks itself: that of each observation, in order, null if ambiguous; "
+        "absent elsewhere",
+    )

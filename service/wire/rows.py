@@ -20,6 +20,7 @@ from service.wire.checks import (
     check_steer,
     check_times,
     expected,
+    names_of,
     of_sigma,
 )
 from service.wire.measurements import CartesianRows, CartesianStep, Odometry, RangeBearingRows, RangeBearingStep
@@ -33,7 +34,7 @@ Step: TypeAlias = PlanarStep | Cartesian3dStep | StereoStep | PinholeStep
 Matrix = list[list[float]]
 
 
-def from_rows(rows: Rows, models: Models, robot: str) -> Batch:
+def from_rows(rows: Rows, models: Models, robot: str, association: str = "known") -> Batch:
     """Return rows of ``robot`` as a batch; raises ``Problem`` (422)."""
     steps: list[Step] = [*rows.steps]
     control_step, control, control_covariance = _controls(steps, models)
@@ -42,7 +43,8 @@ def from_rows(rows: Rows, models: Models, robot: str) -> Batch:
     step: list[int] = []
     for index, one in enumerate(steps):
         seen += one.observations
-        names += [o.landmark for o in one.observations]
+        given = [o.landmark for o in one.observations]
+        names += names_of(given, association, lambda i, k=index: f"steps.{k}.observations.{i}.landmark")  # type: ignore[misc]
         if isinstance(one, PlanarStep) and one.encounters:
             met = [e.robot for e in one.encounters]
             check_others(robot, met, lambda i, k=index: f"steps.{k}.encounters.{i}.robot")  # type: ignore[misc]
@@ -50,7 +52,7 @@ def from_rows(rows: Rows, models: Models, robot: str) -> Batch:
             names += [encounter(other, one.t) for other in met]
         step += [index] * (len(seen) - len(step))
     channels = [[getattr(o, name) for o in seen] for name in models.observation.channels]
-    given = [o.covariance for o in seen]
+    own = [o.covariance for o in seen]
     batch = Batch(
         t=np.array([one.t for one in steps]),
         control_step=control_step,
@@ -59,7 +61,7 @@ def from_rows(rows: Rows, models: Models, robot: str) -> Batch:
         observation_step=np.array(step, dtype=np.int64),
         landmark=tuple(names),
         z=np.array(channels, dtype=np.float64).reshape(len(channels), len(seen)),
-        observation_covariance=_filled(given, models.observation.sigma, _covariance_path(steps, step)),
+        observation_covariance=_filled(own, models.observation.sigma, _covariance_path(steps, step)),
     )
     check_times(batch, "steps.{}.t".format)
     return batch

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import ConfigDict, Field
 
-from service.wire.base import FAIL_FAST, LandmarkId, Matrix, Number, Seconds, Turn, Wire
+from service.wire.base import FAIL_FAST, Landmark, Matrix, Number, Seconds, Turn, Wire
 from service.wire.measurements import Sequence, Steps
 
 
@@ -57,19 +57,19 @@ class PinholePoint(Wire):
 class Cartesian3dObservation(Cartesian3dPoint):
     """A landmark at a point in the sensor's frame."""
 
-    landmark: LandmarkId
+    landmark: Landmark = None
 
 
 class StereoObservation(StereoPoint):
     """A landmark in the images of a pair of cameras."""
 
-    landmark: LandmarkId
+    landmark: Landmark = None
 
 
 class PinholeObservation(PinholePoint):
     """A landmark in a camera's image."""
 
-    landmark: LandmarkId
+    landmark: Landmark = None
 
 
 class SpatialStep(Wire):

@@ -217,7 +217,7 @@ def dense_join(submaps: Sequence[Submap]) -> Dense:
             H[np.ix_(at, at)] += J.T @ J
             g[at] += J.T @ r
             cost += float(r @ r)
-        step = -np.linalg.solve(H, g)
+        step = np.asarray(-np.linalg.solve(H, g), dtype=np.float64)
         frames[1:] = [moved(space, f, step[p * k : p * (k + 1)]) for k, f in enumerate(frames[1:])]
         points += step[p * n :].reshape(-1, d)
         if np.abs(step).max() < 1e-11:

@@ -1,4 +1,4 @@
-"""Print digests of a simulated drive: sub-maps, track, and a solve taken from its columns.
+"""Print digests of a simulated drive: sub-maps, track, a solve taken from its columns, landmarks found.
 
 Run as ``python -m tests.core.drive_digest MEASUREMENTS.npz COLUMNS.npz``: the measurements come
 ready made, so that nothing but the estimator decides what is printed. Where the columns of the
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from submaps.association.methods import METHODS
 from submaps.atlas.joining import join
 from submaps.atlas.solution import Solution
 from submaps.config import MapConfig, MotionConfig, ObservationConfig
@@ -37,7 +38,7 @@ def read(path: Path) -> Batch:
 
 
 def digests(measurements: Path, columns: Path) -> list[str]:
-    """One digest for each filter and stage of the drive."""
+    """One digest for each filter and stage of the drive, and one for each method of association."""
     run = read(measurements)
     out = []
     for name in ("invariant", "standard"):
@@ -57,6 +58,11 @@ def digests(measurements: Path, columns: Path) -> list[str]:
         out.append(f"{name} submaps {last.submap_count} {last.digest().hex()} track {track.hexdigest()}")
         odom = mapper.view().pose("a", "odom")
         out.append(f"{name} odom {odom.x.hex()} {odom.y.hex()} {odom.theta.hex()}")
+    for method in METHODS:
+        mapper = Mapper(replace(CONFIG, association=method))  # type: ignore[arg-type]
+        report = mapper.apply("a", replace(run, landmark=("",) * run.observations))
+        found = hashlib.blake2b(repr((report.found, report.rejected)).encode(), digest_size=16)
+        out.append(f"{method} {mapper.problem().digest().hex()} found {found.hexdigest()}")
     return out
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -11,6 +12,7 @@ from numba.core.dispatcher import Dispatcher
 
 import submaps
 from benchmarks.consistency import configure
+from submaps.association.methods import METHODS
 from submaps.atlas.joining import join
 from submaps.config import FilterName
 from submaps.mapper import Mapper
@@ -40,5 +42,9 @@ def test_nothing_is_compiled_after_import() -> None:
             view.pose("robot")
             view.landmarks()
             view.transform(0, view.submap_count - 1)
+    run = drive(world, np.random.default_rng(1)).batch
+    for method in METHODS:
+        mapper = Mapper(replace(configure(world, "invariant", False), association=method))  # type: ignore[arg-type]
+        mapper.apply("robot", replace(run, landmark=("",) * run.observations))
     assert compiled() == before
     assert sum(before.values()) > 20

@@ -126,7 +126,7 @@ def test_the_slope_of_the_inverse_left_jacobian(space: Space, turn: float) -> No
     phi *= turn / np.linalg.norm(phi)
     _, series = left_inverse(tuple(phi.tolist()))
     found = np.array(left_inverse_slope(tuple(phi.tolist()), series, tuple(v.tolist()))).T
-    numeric = jacobian(lambda e: np.linalg.solve(left_jacobian(space, e), v), phi, 3e-3)
+    numeric = jacobian(lambda e: np.asarray(np.linalg.solve(left_jacobian(space, e), v)), phi, 3e-3)
     assert np.allclose(found, numeric, rtol=1e-8, atol=1e-9)
 
 
