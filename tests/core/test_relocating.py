@@ -39,7 +39,8 @@ def look(model: str, poses: list[tuple[float, ...]], points: Floats, which: list
         h, _ = reading(SOLID.key, MODELS[model], sensor_of(SOLID, sensor), body)
         z.append(h + noise * rng.normal(size=h.shape) * sensor.sigma)
     return Batch(
-        t=np.asarray(np.arange(len(poses)) * 0.1, dtype=np.float64), control_step=np.empty(0, dtype=np.int64), control=np.empty((0, 0)),
+        t=np.asarray(np.arange(len(poses)) * 0.1, dtype=np.float64),
+        control_step=np.empty(0, dtype=np.int64), control=np.empty((0, 0)),
         control_covariance=None, observation_step=np.array([k for k, _ in seen], dtype=np.int64),
         landmark=tuple(str(i) for _, i in seen), z=np.ascontiguousarray(np.array(z).T), observation_covariance=None,
     )  # fmt: skip
