@@ -214,9 +214,8 @@ def draw(figure: Figure, clouds: list[Cloud]) -> None:
         style.dress(axes, f"bearing σ {DEGREES[k]:g}°", "x (m)", "y (m)")
         if DEGREES[k] > 20.0:
             axes.set_aspect("equal", adjustable="datalim")
-    figure.legend(
-        *places["0"].get_legend_handles_labels(), loc="upper right", ncols=4, frameon=False, fontsize=8.5, markerscale=5
-    )
+    shapes = places["0"].get_legend_handles_labels()
+    figure.legend(*shapes, loc="outside lower center", ncols=4, frameon=False, fontsize=9, markerscale=5)
     axes = places["m"]
     shared, linear = [_as_correlation(c.information) for c in clouds], [abs(c.correlation) for c in clouds]
     label = "|correlation| of a Gaussian with the same mutual information"

@@ -75,12 +75,21 @@ def _gain(named: dict[str, Series], name: str, parts: int) -> float:
 
 
 def _row(one: Series, unit: str) -> dict[str, object]:
-    least, most = (f"{one.cost[n]:,.3g} {unit}, {n:,}" for n in (min(one.cost), max(one.cost)))
+    least, most = (f"{_amount(one.cost[n], unit)} at {n:,}" for n in (min(one.cost), max(one.cost)))
     return {
         "what": f"{one.name}, {unit}" if unit == "bytes" else one.name, "unit": unit, "against": one.by,
         "order": f"O({one.order})", "slope": one.slope, "expected": one.expected, "smallest": least, "largest": most,
         "values": one.cost,
     }  # fmt: skip
+
+
+def _amount(value: float, unit: str) -> str:
+    """Three digits, with as large a unit as leaves something before the point."""
+    for larger in ("ms", "s") if unit == "µs" else ("kB", "MB", "GB"):
+        if value < 999.5:
+            break
+        value, unit = value / 1e3, larger
+    return f"{value:.3g} {unit}"
 
 
 def draw(figure: Figure, measured: Measured) -> None:
