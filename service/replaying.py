@@ -102,8 +102,12 @@ def _read_back(
 
 
 def has_batch(run: Dataset) -> bool:
-    """Whether the batch optimum knows the run's models: those of the plane that show a point whole."""
-    return run.observation.model in ("cartesian", "range_bearing")
+    """Whether there is a batch optimum of the run: that of several robots, or with a gate, is of the plane alone."""
+    return _is_plain(run) or run.observation.model in ("cartesian", "range_bearing")
+
+
+def _is_plain(run: Dataset) -> bool:
+    return len(run.robots) == 1 and run.config.gate is None
 
 
 def batch_points(run: Dataset, progress: Progress) -> Points:
@@ -111,7 +115,7 @@ def batch_points(run: Dataset, progress: Progress) -> Points:
 
     That of one robot without a gate is the plain one, over every pose.
     """
-    if len(run.robots) == 1 and run.config.gate is None:
+    if _is_plain(run):
         alone = optimum(run.columns, run.motion, run.observation, progress=progress)
         return dict(zip(alone.ids, alone.landmarks, strict=True))
     order = dict.fromkeys(robot for robot, _ in run.batches())  # `map` is the frame of the first one sent

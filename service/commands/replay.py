@@ -42,7 +42,7 @@ def replay(
     ] = None,
     json: Json = False,
     batch: Annotated[
-        bool, typer.Option(help="Compute the batch optimum too (in the plane only), and compare the landmarks with it.")
+        bool, typer.Option(help="Compute the batch optimum too, and compare the landmarks with it.")
     ] = True,
     plot: Annotated[Path | None, typer.Option(help="Draw the map into this file (needs the extra plot).")] = None,
     without_odometry: Annotated[
