@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import submaps.batch
+import submaps.batch_problem
 import submaps.least_squares
 import submaps.residuals
 from service.datasets import Dataset
@@ -44,7 +45,7 @@ def verdict(name: str, value: float, limit: float, show: Callable[[float], str] 
 def _digest(run: Dataset) -> str:
     columns = run.columns
     digest = hashlib.sha256()
-    for module in (submaps.batch, submaps.residuals, submaps.least_squares):
+    for module in (submaps.batch, submaps.batch_problem, submaps.residuals, submaps.least_squares):
         digest.update(Path(str(module.__file__)).read_bytes())
     digest.update(repr((run.motion, run.observation, columns.landmark)).encode())
     for array in _arrays(columns):

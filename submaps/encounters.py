@@ -3,7 +3,7 @@
 To the robot that sees, it is an observation of a new landmark. The robot that is seen marks its own
 position there: a landmark at the body's origin, correlated with the pose as it should be. So the two
 sub-maps share a point, and it ties them like any other. A mark between two steps splits the control
-that lies there: D into exp(a log D) and exp((1 - a) log D), its noise in proportion.
+that lies there: D into exp(a log D) and exp((1 - a) log D), its noise in proportion, turned with the frame.
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from submaps.geometry.se2 import exp, log
-from submaps.geometry.trig import sincos
+from submaps.geometry.space import PLANE, SOLID, Space
 from submaps.measurements import Floats, Ints
 
 Mark = tuple[float, int]
@@ -133,31 +132,36 @@ def _split(columns: Columns, before: float, fresh: Floats, place: Ints, steps: I
     where: list[int] = []
     increments: list[Floats] = []
     noises: list[Floats] = []
+    pose = columns.increments.shape[1]
+    space = PLANE if pose == PLANE.pose else SOLID
     for k, step in enumerate(columns.control_step.tolist()):
         inside = fresh[place == step]
         begin = float(columns.t[step - 1]) if step else before
         cuts = np.array([begin, *inside, columns.t[step]])
         parts = np.diff(cuts) / (cuts[-1] - begin) if inside.size else np.ones(1)
-        twist = np.array(log(tuple(columns.increments[k])))
-        turned = 0.0
+        twist = np.array(space.log(space.as_pose(columns.increments[k])))
+        gone = np.zeros(space.rot)
         for i, part in enumerate(parts):
             where.append(int(steps[step]) - parts.shape[0] + 1 + i)
-            increments.append(np.array(exp(tuple(part * twist))) if inside.size else columns.increments[k])
-            noises.append(part * _turned(columns.noises[k], -turned) if inside.size else columns.noises[k])
-            turned += part * twist[2]
-    return (
-        np.array(where, dtype=np.int64), np.array(increments).reshape(-1, 3), np.array(noises).reshape(-1, 3, 3)
-    )  # fmt: skip
+            increments.append(
+                np.array(space.exp(space.as_pose(part * twist))) if inside.size else columns.increments[k]
+            )
+            noises.append(part * _turned(space, columns.noises[k], -gone) if inside.size else columns.noises[k])
+            gone = gone + part * twist[space.dim :]
+    noise = np.array(noises).reshape(-1, pose, pose)
+    return np.array(where, dtype=np.int64), np.array(increments).reshape(-1, pose), noise
 
 
-def _turned(Q: Floats, theta: float) -> Floats:
-    """R Q R^T with R = diag(R(theta), 1), written out: what touches state gives the same bits everywhere."""
-    s, c = sincos(theta)
-    xx, xy, yy, xt, yt = Q[0, 0], Q[0, 1], Q[1, 1], Q[0, 2], Q[1, 2]
-    out = Q.copy()
-    out[0, 0] = c * c * xx - 2.0 * c * s * xy + s * s * yy
-    out[1, 1] = s * s * xx + 2.0 * c * s * xy + c * c * yy
-    out[0, 1] = out[1, 0] = c * s * (xx - yy) + (c * c - s * s) * xy
-    out[0, 2] = out[2, 0] = c * xt - s * yt
-    out[1, 2] = out[2, 1] = s * xt + c * yt
+def _turned(space: Space, Q: Floats, angles: Floats) -> Floats:
+    """B Q B^T with B = diag(R, R), in the plane diag(R, 1): how a pose's error is seen from a turned frame."""
+    B = np.eye(space.pose)
+    for at in range(0, space.pose - 1, space.dim):
+        B[at : at + space.dim, at : at + space.dim] = space.rotation_of(angles)
+    whole = _product(_product(B, Q), B.T)
+    return 0.5 * (whole + whole.T)
+
+
+def _product(A: Floats, B: Floats) -> Floats:
+    """A B without BLAS: what touches state gives the same bits everywhere."""
+    out: Floats = np.sum(A[:, :, np.newaxis] * B, axis=1)
     return out

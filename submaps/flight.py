@@ -5,11 +5,13 @@ Randomness comes from the generator that is handed in, so a seed names a run.
 
 from __future__ import annotations
 
-import itertools
+import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from submaps.config import MapConfig, MotionConfig, ObservationConfig
 from submaps.geometry.space import SOLID, Pose
@@ -24,16 +26,18 @@ class Volume:
     """A flight through points: true body-frame increments, and what a sensor may see.
 
     ``increments`` (n, 6) (position m, rotation vector rad) lead from each pose to the next, the first pose being
-    the origin; ``landmarks`` (m, 3) are seen within ``sensor_range`` (m) after every step, and only ahead (x > 0
-    in the body) where ``ahead``. Noise is relative: sigma of each number of an increment's position, of its
-    rotation and of a reading's is ``share`` of the size of that vector, as in Zhang et al., arXiv:1702.06680.
+    the origin; ``landmarks`` (m, 3) are seen within ``sensor_range`` (m) after every step, and only within
+    ``view``, an axis of the body (0, 1, 2) and an angle (rad) from it. Noise is relative: sigma of each number of an
+    increment's position, of its rotation and of a reading's is ``share`` of the size of that vector, or ``each`` of
+    the number itself.
     """
 
     landmarks: Floats
     increments: Floats
     sensor_range: float
     share: float
-    ahead: bool = False
+    view: tuple[int, float] | None = None
+    each: bool = False
 
 
 @dataclass(frozen=True)
@@ -55,10 +59,39 @@ def loops(rng: np.random.Generator, landmarks: int = 300, steps: int = 500, shar
     path = np.stack([radius * np.sin(angle), radius * (1.0 - np.cos(angle)), 2.5 * np.sin(7.0 * angle / rounds)], 1)
     poses = [_looking(path[k], path[k + 1]) for k in range(steps)]
     poses.append((*path[-1], *poses[-1][3:]))
-    increments = np.array([SOLID.between(a, b) for a, b in itertools.pairwise(poses)])
     around = path[rng.integers(0, steps, landmarks)] + rng.uniform(-5.0, 5.0, (landmarks, 3))
-    local = np.array([SOLID.transform(SOLID.inverse(poses[0]), point) for point in around])
-    return Volume(local, increments, 5.0, share)
+    return _volume(poses, around, 5.0, share)
+
+
+def tumbling(rng: np.random.Generator, landmarks: int = 300, steps: int = 500, share: float = 0.05) -> Volume:
+    """The world of Zhang et al., "Convergence and consistency analysis for a 3-D invariant-EKF SLAM", RA-L 2(2) 2017.
+
+    As far as their released simulation tells (github.com/RomaTeng/EKF-SLAM-on-Manifold, datagen_3d): step k at (50
+    cos 0.3k, 40 sin 0.2k, 20 sin(0.2k + 1)) m, turned by roll 0.5k + 2, pitch -0.3k, yaw 0.4k rad, that is 12 m and
+    0.67 rad a step on average, the way closing every 63 steps; landmarks evenly in the box of the way and 30 m around
+    it, seen within 25 m and 120 degrees of the body's z axis. The noise of each number is ``share`` of its size.
+    """
+    k = np.arange(steps + 1)
+    path = np.stack([50.0 * np.cos(0.3 * k), 40.0 * np.sin(0.2 * k), 20.0 * np.sin(0.2 * k + 1.0)], axis=1)
+    turns = Rotation.from_euler("ZYX", np.stack([0.4 * k, -0.3 * k, 0.5 * k + 2.0], axis=1))
+    poses = [SOLID.as_pose(pose) for pose in np.hstack([path, turns.as_rotvec()])]
+    points = rng.uniform(path.min(axis=0) - 30.0, path.max(axis=0) + 30.0, (landmarks, 3))
+    return _volume(poses, points, 25.0, share, (2, math.radians(120.0)), each=True)
+
+
+def _volume(
+    poses: list[Pose],
+    points: Floats,
+    sensor_range: float,
+    share: float,
+    view: tuple[int, float] | None = None,
+    *,
+    each: bool = False,
+) -> Volume:
+    """A flight along poses (n + 1) among points (m, 3), both in one frame."""
+    increments = np.array([SOLID.between(a, b) for a, b in pairwise(poses)])
+    local = SOLID.transform(SOLID.inverse(poses[0]), points)
+    return Volume(local, increments, sensor_range, share, view, each)
 
 
 def _looking(at: Floats, towards: Floats) -> Pose:
@@ -91,9 +124,8 @@ def fly(volume: Volume, rng: np.random.Generator, sensor: ObservationConfig | No
     seen_at, names, z, R = [], [], [], []
     for k in range(1, len(poses)):
         local = (volume.landmarks - poses[k][:3]) @ SOLID.rotation(poses[k])
-        near = np.linalg.norm(local, axis=1) <= volume.sensor_range
-        for i in np.flatnonzero(near & (local[:, 0] > 0.0) if volume.ahead else near):
-            shown, covariance = _sighting(local[i], volume.share, sensor, rng)
+        for i in np.flatnonzero(_in_view(volume, local)):
+            shown, covariance = _sighting(local[i], volume, sensor, rng)
             seen_at.append(k)
             names.append(str(i))
             z.append(shown)
@@ -107,22 +139,42 @@ def fly(volume: Volume, rng: np.random.Generator, sensor: ObservationConfig | No
     return Flight(batch, np.array(poses))
 
 
+def _in_view(volume: Volume, local: Floats) -> NDArray[np.bool_]:
+    """Which points (m, 3) in the body frame are seen."""
+    distance = np.linalg.norm(local, axis=1)
+    near: NDArray[np.bool_] = distance <= volume.sensor_range
+    if volume.view is None:
+        return near
+    axis, angle = volume.view
+    inside: NDArray[np.bool_] = local[:, axis] > distance * math.cos(angle)
+    return near & inside
+
+
+def _sigma(volume: Volume, vectors: Floats) -> Floats:
+    """Standard deviations of the numbers of vectors (n, 3)."""
+    sizes = np.abs(vectors) if volume.each else np.repeat(np.linalg.norm(vectors, axis=1, keepdims=True), 3, axis=1)
+    return np.asarray(volume.share * sizes)
+
+
 def _noisy(volume: Volume, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Readings (n, 6) of the increments, and their covariances (n, 6, 6)."""
     move, turn = volume.increments[:, :3], volume.increments[:, 3:]
-    sizes = np.stack([np.linalg.norm(move, axis=1), np.linalg.norm(turn, axis=1)], axis=1)
-    sigma = volume.share * np.repeat(sizes, 3, axis=1)
+    sigma = np.hstack([_sigma(volume, move), _sigma(volume, turn)])
     readings = volume.increments + rng.normal(size=sigma.shape) * sigma
     return readings, np.stack([np.diag(s * s) for s in sigma])
 
 
 def _sighting(
-    local: Floats, share: float, sensor: ObservationConfig | None, rng: np.random.Generator
+    local: Floats, volume: Volume, sensor: ObservationConfig | None, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """The noisy reading of a point in the body frame, with its covariance."""
+    """The noisy reading of a point in the body frame, with its covariance.
+
+    The covariance follows from the true size: one that followed from the reading would weigh those more that came
+    out small.
+    """
     if sensor is None:
-        sigma = share * np.linalg.norm(local)
-        return local + rng.normal(size=3) * sigma, np.eye(3) * sigma**2
+        sigma = _sigma(volume, local[np.newaxis])[0]
+        return local + rng.normal(size=3) * sigma, np.diag(sigma * sigma)
     h, _ = reading(SOLID.key, MODELS[sensor.model], sensor_of(SOLID, sensor), local)
     own = np.array(sensor.sigma)
     return h + rng.normal(size=own.shape) * own, np.diag(own * own)

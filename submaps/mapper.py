@@ -130,7 +130,9 @@ class Mapper:
                 nis, status, track, chapter, shelf.whole, shelf.reals, shelf.ids, shelf.fill,
             )  # fmt: skip
             numbers = [s.number]
-            for closed in s.closed(shelf, self._invariant, c.t, iter(self._next_number, None)):
+            # Without motion a sub-map closes in additive errors (``filtering.closing``).
+            invariant = self._invariant and not r.whole[layout.MOTIONLESS]
+            for closed in s.closed(shelf, invariant, c.t, iter(self._next_number, None)):
                 self._file(r, closed)
                 numbers.append(closed.following)
             track_submap[begin:step] = np.array(numbers, dtype=np.int32)[chapter[begin:step]]

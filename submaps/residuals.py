@@ -14,7 +14,8 @@ from submaps.trajectory import wrapped
 
 Floats = NDArray[np.float64]
 
-_LEAST_NOISE = np.diag([1e-8, 1e-8, 1e-10])  # (1e-4 m)², (1e-5 rad)²: an arc without slip is singular
+# (1e-4 m)², (1e-5 rad)²: an arc without slip is singular
+_LEAST_NOISE = {2: np.diag([1e-8] * 2), 3: np.diag([1e-8, 1e-8, 1e-10]), 6: np.diag([1e-8] * 3 + [1e-10] * 3)}
 
 
 def moved(before: Floats, after: Floats, increment: Floats, root: Floats) -> tuple[Floats, Floats]:
@@ -68,12 +69,30 @@ def to_body(observation: ObservationConfig, z: Floats) -> Floats:
     return point
 
 
+def composed(pose: Floats, increment: Floats) -> Floats:
+    """A pose (3,) moved by an increment (3,) in its frame, the heading not wrapped."""
+    x, y, theta = pose
+    c, s = np.cos(theta), np.sin(theta)
+    dx, dy, dtheta = increment
+    return np.array([x + c * dx - s * dy, y + s * dx + c * dy, theta + dtheta])
+
+
+def to_map(pose: Floats, body: Floats) -> Floats:
+    """Points (m, 2) in the bodies of poses (m, 3), in the frame of these."""
+    return pose[:, :2] + rotated(pose[:, 2], body)
+
+
+def moved_back(poses: Floats, errors: Floats) -> Floats:
+    """Poses (n, 3) less errors (n, 3)."""
+    return poses - errors
+
+
 def information_root(covariance: Floats) -> Floats:
     """W with Wᵀ W the inverse of each covariance (n, d, d); where one is singular, all get a little more."""
     try:
         root = np.linalg.cholesky(covariance)
     except np.linalg.LinAlgError:
-        root = np.linalg.cholesky(covariance + _LEAST_NOISE[: covariance.shape[1], : covariance.shape[1]])
+        root = np.linalg.cholesky(covariance + _LEAST_NOISE.get(covariance.shape[1], 0.0))
     inverse: Floats = np.linalg.inv(root)
     return inverse
 

@@ -72,10 +72,11 @@ class Robot:
         """What a view tells of it."""
         own = [layout.STEPS, layout.OBSERVATIONS, layout.REJECTED]
         steps, observations, rejected = (self.closed_counts + self.active.counts[own]).tolist()
+        odom = None if self.whole[layout.MOTIONLESS] else self.active.space.as_pose(self.odom)
         return RobotState(
             id=self.name, number=self.number, first=self.first, submap=self.active.number, t=self.t or 0.0,
             steps=steps, observations=observations, rejected=rejected, pose=self.active.pose,
-            odom=self.active.space.as_pose(self.odom), odom_covariance=self.odom_covariance.copy(), start=self.start,
+            odom=odom, odom_covariance=self.odom_covariance.copy(), start=self.start, channels=self.R.shape[1],
         )  # fmt: skip
 
 

@@ -39,7 +39,7 @@ class Submap:
     ``mean`` is (x m, y m, theta rad, l_1x, l_1y, ...) in the sub-map's own frame: the pose at its
     end, then its landmarks, of which ``landmarks`` holds the map's numbers; in space (x m, y m, z m,
     rotation vector rad, l_1x, l_1y, l_1z, ...). ``packed`` is the lower
-    triangle, row by row, of the covariance in the filter's own error (see ``filtering.kernel``).
+    triangle, row by row, of the covariance in the ``invariant`` or the additive error (see ``filtering.kernel``).
     """
 
     number: int

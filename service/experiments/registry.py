@@ -15,6 +15,7 @@ REGISTRY = {
     "nonodometry": "service.experiments.nonodometry",
     "phantom": "service.experiments.phantom",
     "scaling": "service.experiments.scaling",
+    "stereo": "service.experiments.stereo",
 }
 
 

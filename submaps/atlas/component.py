@@ -31,26 +31,28 @@ Part = tuple[Submap, Ints, Floats, Floats]
 class Link:
     """What a robot's start says: the frame of its first sub-map, in that of another (``None``: the root).
 
-    ``information`` (pose, pose) is of the error that factors speak of (see ``atlas.factors``).
+    ``information`` (pose, pose) is of the error that factors speak of (see ``atlas.factors``), ``invariant``
+    which of the two that is.
     """
 
     frame: int | None
     first: int
     pose: Pose
     information: Floats
+    invariant: bool
 
 
 _ASSEMBLE = (
-    "float64(UniTuple(int64, {}), int64, int64, boolean, int64[::1], int64[::1], int64[::1], int64[::1], float64[::1],"
-    "float64[::1], float64[:, ::1], float64[:, ::1], int64[::1], int64[::1], int64[::1], int64[::1], int32[::1],"
-    "float64[::1], float64[::1])"
+    "float64(UniTuple(int64, {}), int64, int64, boolean[::1], int64[::1], int64[::1], int64[::1], int64[::1],"
+    "float64[::1], float64[::1], float64[:, ::1], float64[:, ::1], int64[::1], int64[::1], int64[::1], int64[::1],"
+    "int32[::1], float64[::1], float64[::1])"
 )
 
 
 @jit(_ASSEMBLE.format(2), _ASSEMBLE.format(3), unlocked=True)
 def _assemble(
-    space: Key, first: int, last: int, invariant: bool, variable_at: Ints, variables: Ints, estimate_at: Ints,
-    information_at: Ints, estimates: Floats, informations: Floats, frames: Floats, points: Floats,
+    space: Key, first: int, last: int, invariant: NDArray[np.bool_], variable_at: Ints, variables: Ints,
+    estimate_at: Ints, information_at: Ints, estimates: Floats, informations: Floats, frames: Floats, points: Floats,
     begins: Ints, rows: Ints, within: Ints, start: Ints, pointers: NDArray[np.int32],
     data: Floats, gradient: Floats,
 ) -> float:  # fmt: skip
@@ -68,7 +70,7 @@ def _assemble(
                 seen[i, a] = points[own[i + 2] - poses, a]
         xi = np.empty(d)
         J = np.empty((d, 2 * pose + dim))
-        residual(space, invariant, estimate, frames[own[0] + 1], frames[own[1] + 1], seen, xi, J)
+        residual(space, invariant[f], estimate, frames[own[0] + 1], frames[own[1] + 1], seen, xi, J)
         H = np.empty((d + pose, d + pose))
         g = np.empty(d + pose)
         cost += normal_equations(space, information, xi, J, H, g)
@@ -93,7 +95,6 @@ class Component:
         self.members = members
         self.space = members[0].space
         self.numbers = np.array([s.number for s in members], dtype=np.int64)
-        self.invariant = members[0].invariant
         self.links = {link.first: link for link in links}
         self._index_frames()
         self._find_shared(total, untied)
@@ -143,7 +144,7 @@ class Component:
     def _flatten(self) -> None:
         """Lay the factors out for the compiled assembly: each member's, its link's before it."""
         variables = self.poses + self._rows
-        own, estimates, informations = [], [], []
+        own, estimates, informations, invariant = [], [], [], []
         self._upto = []
         for f, (submap, _, estimate, information) in enumerate(self.parts):
             link = self.links.get(submap.number)
@@ -151,11 +152,14 @@ class Component:
                 own.append(np.array([self._link_from(link) - 1, self.frame_at[f] - 1]))
                 estimates.append(np.array(link.pose))
                 informations.append(link.information)
+                invariant.append(link.invariant)
             shared = variables[self._shared_at[f] : self._shared_at[f + 1]]
             own.append(np.concatenate([[self.frame_at[f] - 1, self.end_at[f] - 1], shared]))
             estimates.append(estimate)
             informations.append(information)
+            invariant.append(submap.invariant)
             self._upto.append(len(own))
+        self._invariant = np.array(invariant)
         self._variables = np.concatenate(own).astype(np.int64)
         self._variable_at = _offsets([v.shape[0] for v in own])
         self._estimates = np.concatenate(estimates)
@@ -246,7 +250,7 @@ class Component:
         gradient[:] = 0.0
         p = self.pattern
         cost: float = _assemble(
-            self.space.key, 0, self._upto[members - 1], self.invariant, self._variable_at, self._variables,
+            self.space.key, 0, self._upto[members - 1], self._invariant, self._variable_at, self._variables,
             self._estimate_at, self._information_at, self._estimates, self._informations, self.frames, self.points,
             p.begins, p.rows, p.within, p.start, p.pointers, data, gradient,
         )  # fmt: skip

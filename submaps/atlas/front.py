@@ -101,7 +101,10 @@ def _own_information(submap: Submap, shared: list[int], end: Pose, points: Float
 
 @dataclass(frozen=True)
 class Joint:
-    """The posterior of one sub-map at the front: its frame, and its end and ``landmarks`` in that frame."""
+    """The posterior of one sub-map at the front: its frame, and its end and ``landmarks`` in that frame.
+
+    ``information`` is the inverse of ``covariance``, but where the frame is fixed.
+    """
 
     submap: Submap
     frame: Pose
@@ -110,6 +113,7 @@ class Joint:
     shared: list[int]
     points: Floats
     covariance: Floats
+    information: Floats
 
     def placed(self) -> Placed:
         """The same beside the frame, as queries want it."""
@@ -237,12 +241,37 @@ def condition(front: Front, submap: Submap, following: Submap | None = None) -> 
     frame = np.array([front.frame])
     retract(space.key, frame, moved[np.newaxis])
     if space.rot == space.dim:  # what was settled is the rotation vector from the front's frame on
-        by_vector = np.eye(values.shape[0])
-        rotation = slice(space.dim, space.pose)
+        by_vector, rotation = np.eye(values.shape[0]), slice(space.dim, space.pose)
         by_vector[rotation, rotation] = space.left_jacobian(moved[space.dim :])
         covariance = by_vector @ covariance @ by_vector.T
+        back = np.linalg.inv(by_vector)
+        H = back.T @ H @ back
     points = points.reshape(-1, space.dim)
-    return Joint(submap, space.as_pose(frame[0]), space.as_pose(end), landmarks, shared, points, covariance)
+    return Joint(submap, space.as_pose(frame[0]), space.as_pose(end), landmarks, shared, points, covariance, H)
+
+
+def _is_flat(submap: Submap) -> bool:
+    """Whether a sub-map says nothing of its end: there was no motion model."""
+    first = submap.space.dim  # of the rotation
+    return bool(submap.packed[first * (first + 1) // 2 + first] > (2.0 * np.pi) ** 2)
+
+
+def _marginal(joint: Joint, D: Floats, kept: NDArray[np.int64], fixed: bool) -> Floats:
+    """Information of (the end, ``kept`` points in it), what else there is marginalised.
+
+    Beside an end that may be anywhere, what is known of the points would drown in a covariance; an
+    information only lacks a few directions.
+    """
+    space, size = joint.submap.space, D.shape[1]
+    own = 2 * space.pose + (space.dim * kept[:, np.newaxis] + np.arange(space.dim)).ravel()
+    rest = np.setdiff1d(np.arange(2 * space.pose, size), own)
+    gone = rest if fixed else np.concatenate([np.arange(space.pose), rest])
+    entries = np.arange(space.pose if fixed else 0, size)
+    back = np.linalg.inv(np.vstack([D, np.eye(size)[gone]])[:, entries])
+    H = back.T @ joint.information[np.ix_(entries, entries)] @ back
+    count = D.shape[0]
+    H = H[:count, :count] - H[:count, count:] @ np.linalg.solve(H[count:, count:], H[count:, :count])
+    return 0.5 * (H + H.T)
 
 
 def advance(front: Front, submap: Submap, following: Submap) -> Front:
@@ -253,7 +282,10 @@ def advance(front: Front, submap: Submap, following: Submap) -> Front:
     points = np.empty((kept.shape[0], space.dim))
     D = np.zeros((space.pose + points.size, joint.covariance.shape[0]))
     onward(space.key, np.array(joint.frame), np.array(joint.end), joint.points, kept, points, D)
-    known = _inverse(submap, np.ascontiguousarray(D @ joint.covariance @ D.T))
+    if _is_flat(submap):
+        known = _marginal(joint, D, kept, front.fixed)
+    else:
+        known = _inverse(submap, np.ascontiguousarray(D @ joint.covariance @ D.T))
     frame, landmarks = space.compose(joint.frame, joint.end), [joint.landmarks[i] for i in kept.tolist()]
     # Converged: no gradient is left.
     return Front(frame, landmarks, points, known, np.zeros(known.shape[0]), False)

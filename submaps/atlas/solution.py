@@ -71,7 +71,7 @@ def _link(start: Start, first: Submap) -> Link:
     out = np.empty_like(covariance)
     if not information(covariance, out):
         raise MeasurementError(f"the start of submap {first.number}: its covariance is not positive definite")
-    return Link(submap_of(start.frame), first.number, start.pose, out)
+    return Link(submap_of(start.frame), first.number, start.pose, out, first.invariant)
 
 
 class Solution:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from submaps._jit import jit
-from submaps.filtering.forgetting import replace_pose
+from submaps.filtering.forgetting import replace_pose_additive
 from submaps.filtering.layout import COUNTS, DIM, INVARIANT, MOTIONLESS, NIS_COUNT, NIS_SUM
 from submaps.filtering.passes import add
 from submaps.filtering.predicting import predict
@@ -103,11 +103,12 @@ def close(
         return False
     _take_in(space, x, P, n, motion, settings[INVARIANT], scratch)
     if len(space) == 3 and settings[MOTIONLESS] != 0:
-        # The pose is a guess at where the next sub-map begins, from readings that go into that one.
+        # The pose is a guess at where the next sub-map begins, from readings that go into that one. On the
+        # invariant error all landmarks would turn with it, and what is known of them be lost in rounding.
         flat = np.zeros((6, 6))
         for i in range(3):
             flat[i, i], flat[3 + i, 3 + i] = FLAT_POSITION_M**2, FLAT_ROTATION_RAD**2
-        replace_pose(x, P, n, settings[INVARIANT] != 0, flat)
+        replace_pose_additive(x, P, n, settings[INVARIANT] != 0, flat)
     reals[at : at + n] = x[:n]
     pack(space, P, n, reals[at + n : at + size - 2])
     reals[at + size - 2] = motion[NIS_SUM]

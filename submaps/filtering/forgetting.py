@@ -16,26 +16,6 @@ Floats = NDArray[np.float64]
 
 
 @jit()
-def replace_pose(x: Floats, P: Floats, n: int, invariant: bool, prior: Floats) -> None:
-    """Give the pose in space a covariance of additive errors ``prior`` (6, 6), independent of the landmarks'.
-
-    x holds the new pose. P, of the filter's error, is changed in place and stays equal to its transpose.
-    """
-    if invariant:
-        _turn_rows(x, P, 6, n, 1.0)  # e_l = xi_l + turn(l) xi_theta
-    for i in range(6):
-        for j in range(n):
-            P[i, j] = 0.0
-            P[j, i] = 0.0
-    P[:6, :6] = prior
-    if invariant:
-        _turn_rows(x, P, 0, n, -1.0)
-    for i in range(n):
-        for j in range(i):
-            P[j, i] = P[i, j]
-
-
-@jit()
 def _turn_rows(x: Floats, P: Floats, first: int, n: int, sign: float) -> None:
     """P <- D P D^T with D = I plus sign turn(point) in the rotation's columns, for points from ``first`` on."""
     k = first
@@ -54,3 +34,32 @@ def _turn_rows(x: Floats, P: Floats, first: int, n: int, sign: float) -> None:
             P[j, k + 1] += a * P[j, 5] - c * P[j, 3]
             P[j, k + 2] += b * P[j, 3] - a * P[j, 4]
         k += 6 if k == 0 else 3
+
+
+@jit()
+def replace_pose_additive(x: Floats, P: Floats, n: int, invariant: bool, prior: Floats) -> None:
+    """Give the pose in space a covariance of additive errors ``prior`` (6, 6), independent of the landmarks'.
+
+    x holds the new pose. P comes as that of the filter's error and is left that of the additive errors.
+    """
+    if invariant:
+        _turn_rows(x, P, 6, n, 1.0)  # e_l = xi_l + turn(l) xi_theta
+    for i in range(6):
+        for j in range(n):
+            P[i, j] = 0.0
+            P[j, i] = 0.0
+    P[:6, :6] = prior
+    for i in range(n):
+        for j in range(i):
+            P[j, i] = P[i, j]
+
+
+@jit()
+def replace_pose(x: Floats, P: Floats, n: int, invariant: bool, prior: Floats) -> None:
+    """The same, P left that of the filter's error, equal to its transpose."""
+    replace_pose_additive(x, P, n, invariant, prior)
+    if invariant:
+        _turn_rows(x, P, 0, n, -1.0)
+    for i in range(n):
+        for j in range(i):
+            P[j, i] = P[i, j]

@@ -70,7 +70,7 @@ def exp(xi: Pose) -> Pose:
     """The pose reached by the tangent (position, rotation): (V(xi_theta) xi_p, xi_theta) (Sola et al., eq. 172)."""
     V = np.empty((3, 3))
     so3.left_jacobian(xi[3], xi[4], xi[5], V)
-    x, y, z = (V @ np.array(xi[:3])).tolist()
+    x, y, z = np.sum(V * np.array(xi[:3]), axis=1).tolist()
     r = _rotation_vector(_quaternion(xi[3], xi[4], xi[5]))
     return x, y, z, r[0], r[1], r[2]
 
@@ -80,5 +80,5 @@ def log(pose: Pose) -> Pose:
     W = np.empty((3, 3))
     r = _rotation_vector(_quaternion(pose[3], pose[4], pose[5]))
     so3.left_jacobian_inverse(r[0], r[1], r[2], W)
-    x, y, z = (W @ np.array(pose[:3])).tolist()
+    x, y, z = np.sum(W * np.array(pose[:3]), axis=1).tolist()
     return x, y, z, r[0], r[1], r[2]

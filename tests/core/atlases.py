@@ -149,6 +149,17 @@ def chain(
     return out
 
 
+def forgotten(s: Submap, position: float = 1e3, rotation_: float = 10.0) -> Submap:
+    """The sub-map as it closes where no motion is measured: of its end it says next to nothing.
+
+    In additive errors, for in those the landmarks have nothing to do with the end.
+    """
+    p, P = s.space.pose, additive(s)
+    P[:p], P[:, :p] = 0.0, 0.0
+    P[range(p), range(p)] = [position**2] * s.space.dim + [rotation_**2] * s.space.rot
+    return replace(s, packed=pack(0.5 * (P + P.T)), invariant=False)
+
+
 @dataclass
 class Dense:
     """The joined problem solved with every landmark kept: values and covariance of all variables."""

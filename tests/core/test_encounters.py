@@ -14,8 +14,8 @@ from submaps.atlas.joining import join
 from submaps.config import MapConfig, MotionConfig, ObservationConfig
 from submaps.consistency import average_bounds
 from submaps.encounters import Columns, with_marks
-from submaps.filtering.predicting import accumulate
 from submaps.geometry.se2 import between
+from submaps.geometry.space import PLANE, SOLID, Pose, Space
 from submaps.mapper import Mapper
 from submaps.measurements import Batch, as_encounter, encounter
 from submaps.simulation import Run, World, drive
@@ -34,29 +34,31 @@ def test_a_name_comes_back() -> None:
 # -- marks among columns -------------------------------------------------------------------------
 
 
-def columns(seed: int, steps: int = 4) -> Columns:
-    rng = np.random.default_rng(seed)
-    noises = np.array([random_covariance(rng, 3, 0.02) for _ in range(steps)])
+def columns(seed: int, steps: int = 4, space: Space = PLANE) -> Columns:
+    rng, d = np.random.default_rng(seed), space.dim
+    noises = np.array([random_covariance(rng, space.pose, 0.02) for _ in range(steps)])
     seen = np.sort(rng.integers(0, steps, 5))
     return Columns(
-        t=np.arange(1.0, steps + 1.0), control_step=np.arange(steps), increments=rng.normal(size=(steps, 3)) * 0.3,
-        noises=noises, observation_step=seen, landmark=np.arange(5), z=rng.normal(size=(2, 5)),
-        R=0.01 * np.eye(2)[np.newaxis], own=np.zeros(5, dtype=np.uint8),
+        t=np.arange(1.0, steps + 1.0), control_step=np.arange(steps),
+        increments=rng.normal(size=(steps, space.pose)) * 0.3, noises=noises,
+        observation_step=seen, landmark=np.arange(5), z=rng.normal(size=(d, 5)),
+        R=0.01 * np.eye(d)[np.newaxis], own=np.zeros(5, dtype=np.uint8),
     )  # fmt: skip
 
 
-def reckoned(c: Columns) -> tuple[Floats, Floats]:
+def reckoned(c: Columns, space: Space) -> tuple[Pose, Floats]:
     """All increments composed."""
-    pose, noise = np.zeros(3), np.zeros((3, 3))
-    for k in range(c.increments.shape[0]):
-        accumulate(pose, noise, np.ascontiguousarray(c.increments[k]), np.ascontiguousarray(c.noises[k]))
+    pose, noise = space.origin, np.zeros((space.pose, space.pose))
+    for increment, own in zip(c.increments, c.noises, strict=True):
+        noise = space.compose_covariance(pose, noise, space.as_pose(increment), own)
+        pose = space.compose(pose, space.as_pose(increment))
     return pose, noise
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.integers(0, 1000), st.lists(st.floats(0.0, 5.0), min_size=1, max_size=6))
-def test_marks_leave_everything_else_as_it_was(seed: int, times: list[float]) -> None:
-    c = columns(seed)
+@given(st.integers(0, 1000), st.lists(st.floats(0.0, 5.0), min_size=1, max_size=6), st.sampled_from([PLANE, SOLID]))
+def test_marks_leave_everything_else_as_it_was(seed: int, times: list[float], space: Space) -> None:
+    c = columns(seed, space=space)
     marks = [(t, 10 + i) for i, t in enumerate(times) if t <= 4.0]
     made = with_marks(c, 0.0, marks)
     assert np.array_equal(made.columns.t[made.steps], c.t)
@@ -73,16 +75,17 @@ def test_marks_leave_everything_else_as_it_was(seed: int, times: list[float]) ->
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(0, 1000), st.floats(0.05, 0.95))
-def test_a_control_in_two_parts_moves_as_far(seed: int, part: float) -> None:
-    c = columns(seed)
+@given(st.integers(0, 1000), st.floats(0.05, 0.95), st.sampled_from([PLANE, SOLID]))
+def test_a_control_in_two_parts_moves_as_far(seed: int, part: float, space: Space) -> None:
+    c = columns(seed, space=space)
     made = with_marks(c, 0.0, [(2.0 + part, 9)]).columns
-    pose, noise = reckoned(c)
-    again, spread = reckoned(made)
+    pose, noise = reckoned(c, space)
+    again, spread = reckoned(made, space)
     assert again == pytest.approx(pose, abs=1e-12)
-    # The noise of one part turns with the heading's error of the other: second order in the increment.
+    # The noise of one part turns with the rotation's error of the other: second order in the increment.
     assert np.linalg.norm(spread - noise) < 0.2 * np.linalg.norm(noise)
-    assert spread[2, 2] == pytest.approx(noise[2, 2])
+    turned = slice(space.dim, space.pose)
+    assert spread[turned, turned] == pytest.approx(noise[turned, turned], abs=1e-12)
 
 
 def test_nothing_is_marked_before_the_first_step() -> None:

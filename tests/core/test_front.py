@@ -25,6 +25,7 @@ from tests.core.atlases import (
     both_spaces,
     chain,
     dense_join,
+    forgotten,
     moved,
     slopes,
     submap,
@@ -35,6 +36,7 @@ from tests.core.support import ODOMETRY, Step, batch, cut, laps, random_covarian
 Floats = NDArray[np.float64]
 SMALL = 1e-4  # noise so small that linearisation does not count
 NEIGHBOURS = [[0, 1, 20], [1, 2, 3], [3, 2, 4, 21], [4, 5, 22], [5, 6, 4, 7], [7, 6, 23]]
+OVERLAPPING = [[0, 1, 2, 3], [0, 1, 2, 3, 4, 5, 6], [5, 4, 6, 7, 8, 9], [6, 7, 8, 9], [7, 8, 9, 10]]
 LOOP = [[0, 1, 20], [1, 2, 3], [3, 2, 0, 21], [4, 3, 1, 22], [5, 4, 30], [6, 5, 30, 31], [6, 31, 32]]
 
 
@@ -151,6 +153,35 @@ def joint_of(space: Space, invariant: bool, k: int, shared: tuple[int, ...]) -> 
     """The full joint of the sub-map k of ``LOOP`` while it is the last."""
     held = chain(LOOP, space, sigma=SMALL, seed=4, invariant=invariant)
     return dense_join([*held[:k], replace(held[k], following=-1)]).joint(k, shared)
+
+
+@both_spaces
+@both_filters
+def test_ends_that_were_forgotten_leave_what_landmarks_say(space: Space, invariant: bool) -> None:
+    """Without motion: each sub-map may lie anywhere about the one before, but for the landmarks that both hold."""
+    held = chain(OVERLAPPING, space, sigma=SMALL, seed=3, invariant=invariant)
+    flat = [*(forgotten(s) for s in held[:-1]), held[-1]]
+    last, dense = len(flat) - 1, dense_join(flat)
+    views = [View(atlas(flat))]
+    then = [*flat[:2], replace(held[2], following=-1)]
+    views.append(View(replace(atlas(flat), solution=join(atlas(then)))))
+    for view in views:
+        by_value, by_covariance = deviation(view.placed(last), last, dense)
+        assert by_value < 3e-3
+        assert by_covariance < 5e-3
+        assert np.sqrt(np.diag(view.pose("r0").covariance)[: space.dim]).max() < 100.0 * SMALL
+
+
+@both_spaces
+def test_where_nothing_is_shared_the_place_is_open_and_nothing_fails(space: Space) -> None:
+    held = chain([[0, 1, 2, 3], [4, 5, 6, 7], [4, 5, 6, 8]], space, sigma=0.02, seed=3)
+    flat = [*(forgotten(s) for s in held[:-1]), held[-1]]
+    solved = View(replace(atlas(flat), solution=join(atlas(flat))))
+    for view in (View(atlas(flat)), solved):
+        assert np.sqrt(np.diag(view.pose("r0").covariance)).min() > 9.0
+        assert np.sqrt(np.diag(view.landmark("L1").covariance)).max() < 0.1
+        local = view.pose("r0", "submap/2")
+        assert np.sqrt(np.diag(local.covariance)).max() < 0.1
 
 
 @both_filters

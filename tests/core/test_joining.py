@@ -29,6 +29,7 @@ from tests.core.atlases import (
     chain,
     dense_join,
     drive,
+    forgotten,
     pack,
     submap,
 )
@@ -38,6 +39,9 @@ from tests.core.support import ODOMETRY, cut, laps
 Floats = NDArray[np.float64]
 # Landmarks 0 and 1 join the last sub-maps to the first; 20 .. 29 are each held by one sub-map alone.
 LOOP = [[0, 1, 2, 20], [2, 3, 21, 22], [3, 4, 5, 23], [4, 24, 5], [6, 5, 25], [6, 0, 26, 1], [1, 0, 2, 27]]
+
+# Each shares with the one before, and no other, landmarks enough to tell how it lies.
+OVERLAPPING = [[0, 1, 2, 3], [0, 1, 2, 3, 4, 5, 6], [5, 4, 6, 7, 8, 9], [6, 7, 8, 9], [7, 8, 9, 10]]
 
 
 @cache
@@ -166,6 +170,23 @@ def test_a_submap_without_a_positive_definite_covariance_is_an_error() -> None:
     bad[3, 3] = -1e-6
     with pytest.raises(NumericalError, match="submap 0"):
         join(atlas([replace(held[0], packed=pack(bad)), held[1]]))
+
+
+@both_spaces
+@both_filters
+@pytest.mark.parametrize("sigma", [0.05, 1e-4])
+def test_submaps_that_forget_their_ends_tie_by_shared_landmarks(space: Space, invariant: bool, sigma: float) -> None:
+    """As where no motion is measured: an information of 1e-6 beside one of up to 1e8."""
+    held = chain(OVERLAPPING, space, seed=3, sigma=sigma, invariant=invariant)
+    flat = [*(forgotten(s) for s in held[:-1]), held[-1]]
+    solution, dense = join(atlas(flat)), dense_join(flat)
+    for k in range(1, len(flat)):
+        placed = solution.placed(k)
+        expected = dense.joint(k, placed.shared)
+        scale = np.sqrt(np.diag(expected))
+        assert np.abs(apart(space, solution.frames[k], dense.frames[k]) / scale[: space.pose]).max() < 1e-5
+        assert np.abs((placed.covariance - expected) / np.outer(scale, scale)).max() < 1e-5
+        assert scale[: space.dim].max() < 20.0 * sigma  # as sure as landmarks make it
 
 
 # -- a linear world ----------------------------------------------------------------------------

@@ -12,8 +12,8 @@ from submaps.alignment import align
 from tests.service.space import BEARING_MAP
 from tests.service.support import ODOMETRY_MAP, Api, Json, Server, steps
 
-SIGMA = 0.01
-DEPTH: Json = {"mean": 3.0, "sigma": 1.0}
+SIGMA = 0.03  # rad; much below it, a bearing that turns by half a radian a step outdoes the first order
+DEPTH: Json = {"mean": 2.5, "sigma": 0.5}
 CONFIG: Json = {
     "motion": {"model": "odometry", "sigma": [0.02, 0.01, 0.004]},
     "observation": {"model": "bearing", "sigma": [SIGMA], "depth": DEPTH},

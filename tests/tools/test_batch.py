@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from service.datasets import read_source
 from submaps.alignment import align
-from submaps.batch import _motion_rows, _observation_rows, _Problem, _State, optimum
+from submaps.batch import optimum
+from submaps.batch_problem import Problem, State
 from submaps.config import MotionConfig, ObservationConfig
 from submaps.errors import NumericalError
 from submaps.measurements import Batch
@@ -72,14 +73,14 @@ def test_without_noise_the_optimum_is_the_truth(observation: ObservationConfig) 
 def test_no_small_move_lowers_the_cost(observation: ObservationConfig) -> None:
     batch, _, _ = circle(observation, noise=1.0)
     found = optimum(batch, ODOMETRY, observation)
-    problem = _Problem.of(batch, ODOMETRY, observation)
+    problem = Problem.of(batch, ODOMETRY, observation)
     random = np.random.default_rng(1)
 
     def cost(poses: Floats, landmarks: Floats) -> float:
-        state = _State(poses, landmarks)
+        state = State(poses, landmarks)
         moved, seen = (
-            _motion_rows(problem, state, problem.poses)[0],
-            _observation_rows(problem, state, problem.poses)[0],
+            problem.motion_rows(state, problem.poses)[0],
+            problem.observation_rows(state, problem.poses)[0],
         )
         return float(np.sum(moved**2) + np.sum(seen**2))
 
@@ -93,29 +94,29 @@ def test_no_small_move_lowers_the_cost(observation: ObservationConfig) -> None:
 @pytest.mark.parametrize("observation", [CARTESIAN, RANGE_BEARING])
 def test_derivatives_are_those_of_the_residuals(observation: ObservationConfig) -> None:
     batch, _, _ = circle(observation, noise=1.0)
-    problem = _Problem.of(batch, ODOMETRY, observation)
+    problem = Problem.of(batch, ODOMETRY, observation)
     random = np.random.default_rng(2)
-    state = _State(random.normal(size=(problem.poses, 3)), 5.0 * random.normal(size=(6, 2)))
+    state = State(random.normal(size=(problem.poses, 3)), 5.0 * random.normal(size=(6, 2)))
     h = 1e-6
-    by_motion = _motion_rows(problem, state, problem.poses)[1]
-    by_seen = _observation_rows(problem, state, problem.poses)[1]
+    by_motion = problem.motion_rows(state, problem.poses)[1]
+    by_seen = problem.observation_rows(state, problem.poses)[1]
     for axis in range(3):
         for parity in (0, 1):  # poses of one parity at a time: each residual then sees one of them
             ends = []
             for sign in (h, -h):
-                there = _State(state.poses.copy(), state.landmarks)
+                there = State(state.poses.copy(), state.landmarks)
                 there.poses[parity::2, axis] += sign
-                ends.append(_motion_rows(problem, there, problem.poses)[0])
+                ends.append(problem.motion_rows(there, problem.poses)[0])
             numeric = (ends[0] - ends[1]) / (2 * h)
             before, after = numeric[parity::2], numeric[1 - parity :: 2]
             np.testing.assert_allclose(by_motion[parity::2, :, axis], before, atol=1e-6)
             np.testing.assert_allclose(by_motion[1 - parity :: 2, :, 3 + axis], after, atol=1e-6)
-        pair = [_State(state.poses + sign * np.eye(3)[axis], state.landmarks) for sign in (h, -h)]
-        seen = [_observation_rows(problem, there, problem.poses)[0] for there in pair]
+        pair = [State(state.poses + sign * np.eye(3)[axis], state.landmarks) for sign in (h, -h)]
+        seen = [problem.observation_rows(there, problem.poses)[0] for there in pair]
         np.testing.assert_allclose(by_seen[:, :, axis], (seen[0] - seen[1]) / (2 * h), atol=1e-5)
     for axis in range(2):
-        pair = [_State(state.poses, state.landmarks + sign * np.eye(2)[axis]) for sign in (h, -h)]
-        seen = [_observation_rows(problem, there, problem.poses)[0] for there in pair]
+        pair = [State(state.poses, state.landmarks + sign * np.eye(2)[axis]) for sign in (h, -h)]
+        seen = [problem.observation_rows(there, problem.poses)[0] for there in pair]
         np.testing.assert_allclose(by_seen[:, :, 3 + axis], (seen[0] - seen[1]) / (2 * h), atol=1e-5)
 
 
