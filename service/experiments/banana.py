@@ -216,25 +216,22 @@ def draw(figure: Figure, clouds: list[Cloud]) -> None:
             axes.set_aspect("equal", adjustable="datalim")
     shapes = places["0"].get_legend_handles_labels()
     figure.legend(*shapes, loc="outside lower center", ncols=4, frameon=False, fontsize=9, markerscale=5)
-    axes = places["m"]
+    _shared(places["m"], clouds)
+
+
+def _shared(axes: Axes, clouds: list[Cloud]) -> None:
+    """Correlation beside mutual information."""
+    from service.experiments import style
+
     shared, linear = [_as_correlation(c.information) for c in clouds], [abs(c.correlation) for c in clouds]
     label = "|correlation| of a Gaussian with the same mutual information"
     axes.semilogx(DEGREES, shared, "o-", color=style.INK, label=label)
     axes.semilogx(DEGREES, linear, "s-", color=style.STANDARD, label="|correlation| of x and y")
-    for c, d in zip(clouds, DEGREES, strict=True):
-        at = (d, _as_correlation(c.information))
-        axes.annotate(
-            f"{c.information:.2g} nats",
-            at,
-            (0, 7),
-            textcoords="offset points",
-            ha="center",
-            fontsize=8,
-            color=style.INK,
-        )
-    style.dress(
-        axes, "x and y: uncorrelated, not independent", "σ of the bearing (°)", "", ylim=(-0.05, 1.2), xticks=DEGREES
-    )
+    for c, at in zip(clouds, zip(DEGREES, shared, strict=True), strict=True):
+        told = f"{c.information:.2g} nats"
+        axes.annotate(told, at, (0, 7), textcoords="offset points", ha="center", fontsize=8, color=style.INK)
+    title = "x and y: uncorrelated, not independent"
+    style.dress(axes, title, "σ of the bearing (°)", "", ylim=(-0.05, 1.2), xticks=DEGREES)
     axes.set_xticks(DEGREES, [f"{d:g}" for d in DEGREES])
     axes.minorticks_off()
     style.legend(axes, loc="center left")

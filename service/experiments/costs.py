@@ -187,20 +187,20 @@ def street(landmarks: int) -> World:
 
 def maps(runs: Runs) -> Iterator[tuple[Series, Series]]:
     """Cost an observation on the way back, and bytes of the estimates, of maps whose sub-maps close at so many."""
-    for capacity in CAPACITIES:
+    found = {n: runs.each(drives, [(n, runs.count)], f"a map of {n:,}")[0] for n in MAP_SIZES}
+    for k, capacity in enumerate(CAPACITIES):
         name = f"sub-maps of {capacity}"
-        (found,) = runs.each(drives, [(capacity, runs.count)], name)
-        cost, size = ({n: one[k] for n, one in zip(MAP_SIZES, found, strict=True)} for k in (0, 1))
+        cost, size = ({n: one[k][which] for n, one in found.items()} for which in (0, 1))
         yield Series(name, "1", 0.0, "landmarks", 1, cost), Series(name, "N", 1.0, "landmarks", 1, size)
 
 
 def drives(task: tuple[int, int]) -> list[tuple[float, float]]:
-    """Cost (µs) and bytes for each of ``MAP_SIZES``, sub-maps closing at so many landmarks, in so many rounds."""
-    capacity, rounds = task
+    """Cost (µs) and bytes with so many landmarks, in so many rounds, for each of ``CAPACITIES``."""
+    landmarks, rounds = task
+    world = street(landmarks)
+    batch = drive_through(world, np.random.default_rng(landmarks)).batch
     out = []
-    for n in MAP_SIZES:
-        world = street(n)
-        batch = drive_through(world, np.random.default_rng(n)).batch
+    for capacity in CAPACITIES:
         found = [_driven(world, batch, capacity) for _ in range(rounds)]
         out.append((min(one for one, _ in found), float(found[0][1])))
     return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -62,13 +63,16 @@ def watch(job: Job) -> Watched:
     return Watched(noted, np.sqrt(variance[noted - 1]), float(error * error / variance[-1]))
 
 
+Groups = dict[tuple[str, float], list[Watched]]  # by filter and noise
+
+
 def run(runs: Runs) -> Outcome:
     """Every filter over the same worlds and readings, at three magnitudes of noise; and the gain's closed form."""
     seeds = runs.generators(runs.count)
     jobs = [Job(name, 1.0, seed) for name in _RULES for seed in seeds[:MOST_BY_MOMENTS]]
     jobs += [Job(f"{name} EKF", noise, s) for name in ("standard", "invariant") for noise in NOISES for s in seeds]
     watched = runs.each(watch, jobs, "runs")
-    groups: dict[tuple[str, float], list[Watched]] = {}
+    groups: Groups = {}
     for job, found in zip(jobs, watched, strict=True):
         groups.setdefault((job.filter, job.noise), []).append(found)
     rows = [_row(name, noise, found) for (name, noise), found in groups.items()]
@@ -87,14 +91,7 @@ def run(runs: Runs) -> Outcome:
             "invariant_relative_change": invariant, "standard_worst_deg": standard,
             "gain_closed_form_against_numbers": gains.worst,
         },
-        Table(
-            ("filter", "noise", "run", "scan", "sigma_heading_deg"),
-            tuple(
-                (name, noise, k, int(scan), math.degrees(sigma))
-                for (name, noise), found in groups.items() for k, w in enumerate(found)
-                for scan, sigma in zip(w.scans, w.sigma, strict=True)
-            ),
-        ),
+        Table(("filter", "noise", "run", "scan", "sigma_heading_deg"), tuple(_points(groups))),
         lambda figure: draw(figure, groups, gains),
         (
             f"{LANDMARKS} landmarks all round, 3 to 15 m off; σ of a reading 0.1 m and 1° (times 0.1, 1, 10)",
@@ -104,6 +101,13 @@ def run(runs: Runs) -> Outcome:
         ),
         size=(11.0, 7.6),
     )  # fmt: skip
+
+
+def _points(groups: Groups) -> Iterator[tuple[object, ...]]:
+    for (name, noise), found in groups.items():
+        for k, w in enumerate(found):
+            for scan, sigma in zip(w.scans.tolist(), w.sigma.tolist(), strict=True):
+                yield name, noise, k, scan, math.degrees(sigma)
 
 
 _COLUMNS = {
@@ -146,7 +150,7 @@ class Gains:
         return float((np.abs(self.form - self.numbers).max(axis=0) / np.abs(self.form).max(axis=0)).max())
 
 
-def draw(figure: Figure, groups: dict[tuple[str, float], list[Watched]], gains: Gains) -> None:
+def draw(figure: Figure, groups: Groups, gains: Gains) -> None:
     """Heading σ against scans, by filter and by noise; the gain on heading against the difference of bearings."""
     from service.experiments import style  # only here: an extra
 
@@ -169,25 +173,23 @@ def draw(figure: Figure, groups: dict[tuple[str, float], list[Watched]], gains: 
     limits = {"xscale": "log", "ylim": (0.0, 5.6)}
     style.dress(falls, "every run", "scans of all landmarks", "heading σ (°)", **limits)
     style.dress(noises, "at any magnitude of the noise (medians)", "scans of all landmarks", "heading σ (°)", **limits)
-    degrees = np.degrees(gains.turns)
-    for axes, channel, unit in ((of_range, 0, "rad per m of range"), (of_bearing, 1, "rad per rad of bearing")):
-        axes.plot(degrees, gains.form[:, channel], color=style.STANDARD, lw=1.6, label="standard: closed form C S⁻¹")
-        axes.plot(
-            degrees[::4],
-            gains.numbers[::4, channel],
-            "o",
-            ms=4,
-            mfc=style.PAPER,
-            mec=style.STANDARD,
-            label="standard: compiled filter",
-        )
-        axes.plot(degrees, gains.invariant[:, channel], color=style.INVARIANT, lw=1.6, label="right-invariant: 0")
-        title = "gain on heading of the range" if channel == 0 else "gain on heading of the bearing"
-        style.dress(axes, title, "bearing now less bearing that made the landmark (°)", unit)
     for axes in (falls, noises):
         style.legend(axes, loc="upper right", bbox_to_anchor=(1.0, 0.86))
-    for axes in (of_range, of_bearing):
-        style.legend(axes)
+    _gains(of_range, gains, 0, "range", "m")
+    _gains(of_bearing, gains, 1, "bearing", "rad")
+
+
+def _gains(axes: Axes, gains: Gains, channel: int, name: str, unit: str) -> None:
+    from service.experiments import style
+
+    degrees, form, numbers = np.degrees(gains.turns), gains.form[:, channel], gains.numbers[::4, channel]
+    axes.plot(degrees, form, color=style.STANDARD, lw=1.6, label="standard: closed form C S⁻¹")
+    (dots,) = axes.plot(degrees[::4], numbers, "o", ms=4, color=style.STANDARD, label="standard: compiled filter")
+    dots.set_markerfacecolor(style.PAPER)
+    axes.plot(degrees, gains.invariant[:, channel], color=style.INVARIANT, lw=1.6, label="right-invariant: 0")
+    across = "bearing now less bearing that made the landmark (°)"
+    style.dress(axes, f"gain on heading of the {name}", across, f"rad per {unit} of {name}")
+    style.legend(axes)
 
 
 def _curves(axes: Axes, found: list[Watched], hue: str, line: str, label: str | None, *, median: bool = False) -> None:

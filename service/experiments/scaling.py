@@ -79,7 +79,7 @@ def _row(one: Series, unit: str) -> dict[str, object]:
     return {
         "what": f"{one.name}, {unit}" if unit == "bytes" else one.name, "unit": unit, "against": one.by,
         "order": f"O({one.order})", "slope": one.slope, "expected": one.expected, "smallest": least, "largest": most,
-        "values": one.cost,
+        "values": {str(n): value for n, value in one.cost.items()},
     }  # fmt: skip
 
 

@@ -164,9 +164,9 @@ def test_the_street_shows_a_few_landmarks_everywhere(monkeypatch: pytest.MonkeyP
     seen = np.bincount(batch.observation_step, minlength=batch.steps)
     assert 2 <= seen.min() <= seen.max() <= 6
     assert set(batch.landmark) == {str(i) for i in range(100)}
-    monkeypatch.setattr(costs, "MAP_SIZES", (40, 80))
-    (_, few), (_, many) = costs.drives((10, 1))
-    assert many == pytest.approx(2.0 * few, rel=0.25)  # bytes follow the landmarks
+    monkeypatch.setattr(costs, "CAPACITIES", (10,))
+    (_, few), (_, many) = costs.drives((100, 1)) + costs.drives((200, 1))
+    assert many == pytest.approx(2.0 * few, rel=0.1)  # bytes follow the landmarks
 
 
 def test_a_table_is_chosen_from_the_figures() -> None:
