@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from service.experiments.base import Table
-from service.experiments.nonodometry_runs import BASE, FILTERS, OTHERS, STARTS, Run
-from submaps.filtering.unscented import Scaling
+from service.experiments.nonodometry_runs import BASE, FILTERS, OTHERS, STARTS, Run, Setting
 from submaps.nonodometry.belief import Status
 
 _CLEARLY = 0.95  # of the EKF's error, at every start: what would count as superior
@@ -18,11 +17,11 @@ _CLEARLY = 0.95  # of the EKF's error, at every start: what would count as super
 
 @dataclass(frozen=True)
 class Row:
-    """Medians over the runs of one start, filter and scaling; None where no run reached the end."""
+    """Medians over the runs of one start, filter and setting; None where no run reached the end."""
 
     start: str
     filter: str
-    scaling: Scaling
+    setting: Setting
     runs: int
     failed: int
     not_positive: int
@@ -32,26 +31,26 @@ class Row:
     mahalanobis: float | None
 
     @property
-    def scaled(self) -> str:
+    def scaling(self) -> str:
         """α and β, for a filter that has them."""
-        return "" if self.filter == "EKF" else _words(self.scaling)
+        return "" if self.filter == "EKF" else _words(self.setting)
 
 
-def _words(scaling: Scaling) -> str:
-    return f"α {scaling.alpha:g} β {scaling.beta:g}"
+def _words(setting: Setting) -> str:
+    return f"α {setting.scaling.alpha:g} β {setting.scaling.beta:g}"
 
 
 def summarise(found: Sequence[Run]) -> list[Row]:
-    """One row for each start, scaling and filter, in that order."""
-    groups: dict[tuple[str, Scaling, str], list[Run]] = {}
+    """One row for each start, setting and filter, in that order."""
+    groups: dict[tuple[str, Setting, str], list[Run]] = {}
     for one in found:
-        groups.setdefault((one.start, one.scaling, one.filter), []).append(one)
+        groups.setdefault((one.start, one.setting, one.filter), []).append(one)
     order = {start: k for k, start in enumerate(STARTS)}
     keys = sorted(groups, key=lambda key: (order[key[0]], (BASE, *OTHERS).index(key[1]), FILTERS.index(key[2])))
     return [_row(key, groups[key]) for key in keys]
 
 
-def _row(key: tuple[str, Scaling, str], runs: list[Run]) -> Row:
+def _row(key: tuple[str, Setting, str], runs: list[Run]) -> Row:
     done = [one for one in runs if one.done]
     not_positive = sum(one.status == Status.not_positive.name for one in runs)
     updates = sum(one.updates for one in runs)
@@ -66,17 +65,17 @@ def _median(values: list[float]) -> float | None:
 
 def conclude(rows: Sequence[Row]) -> str:
     """In how far the paper's three conclusions are seen in these figures."""
-    base = {(row.start, row.filter): row for row in rows if row.scaling == BASE}
+    base = {(row.start, row.filter): row for row in rows if row.setting == BASE}
     ratios = {name: _ratios(base, name) for name in ("UKF linear", "UKF likelihood")}
     superior = any(values and max(values) < _CLEARLY for values in ratios.values())
     beside = " and ".join(f"{_range(values)} ({name})" for name, values in ratios.items())
     far = [row.mahalanobis for row in base.values() if row.filter == "UKF constant" and row.mahalanobis]
     inconsistent = bool(far) and min(far) > 2.0
     cost = {name: float(np.mean([base[start, name].milliseconds or np.nan for start in STARTS])) for name in FILTERS}
-    failures = {scaling: _failures(rows, scaling) for scaling in (BASE, *OTHERS)}
+    failures = {setting: _failures(rows, setting) for setting in (BASE, *OTHERS)}
     unstable = ", ".join(
-        f"{failed} and {lost} of {count} at {_words(scaling)}"
-        for scaling, (failed, lost, count) in failures.items() if count
+        f"{failed} and {lost} of {count} at {_words(setting)} and {setting.noise:g} px"
+        for setting, (failed, lost, count) in failures.items() if count
     )  # fmt: skip
     return (
         f"1. UKF not superior to the EKF: {_verdict(not superior)}. Median Euclidean error over the EKF's, "
@@ -102,43 +101,46 @@ def _verdict(seen: bool) -> str:
     return "reproduced" if seen else "not reproduced"
 
 
-def _failures(rows: Sequence[Row], scaling: Scaling) -> tuple[int, int, int]:
-    mine = [row for row in rows if row.scaling == scaling and row.filter == "UKF likelihood"]
+def _failures(rows: Sequence[Row], setting: Setting) -> tuple[int, int, int]:
+    mine = [row for row in rows if row.setting == setting and row.filter == "UKF likelihood"]
     return sum(row.failed for row in mine), sum(row.not_positive for row in mine), sum(row.runs for row in mine)
 
 
 def table(rows: Sequence[Row]) -> Table:
-    columns = ("start", "filter", "sigma points", "runs", "Euclid (m)", "shape (m)", "Mahalanobis", "failed",
-               "not p.d.", "ms")  # fmt: skip
+    """What is printed."""
+    columns = ("start", "filter", "sigma points", "noise (px)", "runs", "Euclid (m)", "shape (m)", "Mahalanobis",
+               "failed", "not p.d.", "ms")  # fmt: skip
     return Table(
         columns,
         tuple(
-            (row.start, row.filter, row.scaled, row.runs, row.euclidean, row.shape, row.mahalanobis, row.failed,
-             row.not_positive, row.milliseconds)
+            (row.start, row.filter, row.scaling, row.setting.noise, row.runs, row.euclidean, row.shape,
+             row.mahalanobis, row.failed, row.not_positive, row.milliseconds)
             for row in rows
         ),
     )  # fmt: skip
 
 
 def figures(rows: Sequence[Row]) -> dict[str, Any]:
-    """Start -> filter -> scaling -> figures."""
-    told: dict[str, Any] = {start: {} for start in STARTS}
+    """By start and filter, one entry for each setting."""
+    told: dict[str, Any] = {start: {name: [] for name in FILTERS} for start in STARTS}
     for row in rows:
-        told[row.start].setdefault(row.filter, {})[row.scaled or "linearised"] = {
+        told[row.start][row.filter].append({
+            "alpha": row.setting.scaling.alpha, "beta": row.setting.scaling.beta, "noise_px": row.setting.noise,
             "runs": row.runs, "euclidean_m": row.euclidean, "shape_m": row.shape, "mahalanobis": row.mahalanobis,
             "failed": row.failed, "not_positive_definite": row.not_positive, "ms_per_update": row.milliseconds,
-        }  # fmt: skip
+        })  # fmt: skip
     return told
 
 
 def series(found: Sequence[Run]) -> Table:
-    columns = ("noise_set", "start", "filter", "alpha", "beta", "status", "updates", "euclidean_m", "shape_m",
-               "mahalanobis", "processor_s")  # fmt: skip
+    """Every run."""
+    columns = ("noise_set", "start", "filter", "alpha", "beta", "noise_px", "status", "updates", "euclidean_m",
+               "shape_m", "mahalanobis", "processor_s")  # fmt: skip
     return Table(
         columns,
         tuple(
-            (one.number, one.start, one.filter, one.scaling.alpha, one.scaling.beta, one.status, one.updates,
-             one.euclidean, one.shape, one.mahalanobis, one.seconds)
+            (one.number, one.start, one.filter, one.setting.scaling.alpha, one.setting.scaling.beta,
+             one.setting.noise, one.status, one.updates, one.euclidean, one.shape, one.mahalanobis, one.seconds)
             for one in found
         ),
     )  # fmt: skip
