@@ -29,7 +29,7 @@ Ints = NDArray[np.int64]
 # Variance of the pose's prior over that of what the readings say of it.
 _WIDER = 1e6
 _ITERATIONS, _SWEEPS, _SETTLED = 20, 12, 1e-12
-_LEAST_KNOWN = 3
+LEAST_KNOWN = 3
 # Share of the information in some direction below which points count as collinear.
 _LEAST_SHARE = 1e-10
 
@@ -206,7 +206,7 @@ def _closed_form(
             for i in range(3):
                 body[i] += w[POINT + i]
                 mean[i] += x[slot + i]
-    if known < _LEAST_KNOWN:
+    if known < LEAST_KNOWN:
         return False
     body /= known
     mean /= known

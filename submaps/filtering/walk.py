@@ -31,7 +31,7 @@ from submaps.filtering.layout import (
 )
 from submaps.filtering.passes import add
 from submaps.filtering.predicting import accumulate, accumulate_in_space, pending_of, predict
-from submaps.filtering.relocating import relocalise
+from submaps.filtering.relocating import LEAST_KNOWN, relocalise
 from submaps.filtering.workspace import READING, workspace
 from submaps.geometry import so3
 from submaps.geometry.space import Key
@@ -138,9 +138,14 @@ def _located(
     space: Key, begin: int, end: int, landmark: Ints, z: Floats, R: Floats, whole: Ints, real: Floats, x: Floats,
     P: Floats, counts: Ints, slot_of: NDArray[np.int32], w: Floats,
 ) -> bool:  # fmt: skip
-    """Whether the robot's pose is known before a step's observations; without motion, they have to say it."""
-    if len(space) == 2 or whole[MOTIONLESS] == 0 or counts[DIM] == 6:
+    """Whether the robot's pose is known before a step's observations; without motion, they have to say it.
+
+    A map begins where enough landmarks are seen at once for others to be found by them.
+    """
+    if len(space) == 2 or whole[MOTIONLESS] == 0:
         return True
+    if counts[DIM] == 6:
+        return end - begin >= LEAST_KNOWN
     return relocalise(
         space, x, P, counts[DIM], whole[INVARIANT] != 0, begin, end, landmark, z, R, whole[MODEL], real, slot_of, w
     )

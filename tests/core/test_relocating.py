@@ -122,3 +122,16 @@ def test_sub_maps_share_landmarks_and_nothing_else() -> None:
     assert np.diag(P)[:6] == pytest.approx([1e6] * 3 + [100.0] * 3)
     assert np.abs(P[:6, 6:]).max() < 1e-6
     assert np.diag(P)[6:].max() < 2.0 * 0.02**2  # the map itself is not forgotten
+
+
+@pytest.mark.parametrize("model", sorted(SENSORS))
+def test_a_map_begins_where_enough_is_seen_to_go_on(model: str) -> None:
+    """Two landmarks alone could never place a later pose: the steps before three are seen are lost."""
+    rng = np.random.default_rng(5)
+    poses, points = wander(rng, 5), cloud(rng, 6)
+    poses = [poses[1], poses[2], SOLID.origin, poses[3], poses[4]]
+    which = [[0], [0, 1], [0, 1, 2, 3], [0, 1, 2, 4], [1, 2, 3, 4]]
+    report = Mapper(config(model)).apply("r", look(model, poses, points, which, rng, noise=0.0))
+    assert [(r.step, r.reason) for r in report.rejected] == [(0, "lost"), (1, "lost"), (1, "lost")]
+    for true, found in zip(poses[2:], report.track_pose[2:], strict=True):
+        assert np.abs(pose_error(true, tuple(found))).max() < 1e-6
