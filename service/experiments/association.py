@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.experiments import association_world as world
-from service.experiments.association_picture import draw
 from service.experiments.association_runs import (
     FORGOTTEN_AFTER,
     GATES,
@@ -25,6 +24,9 @@ from service.experiments.association_runs import (
     with_mistake,
 )
 from service.experiments.base import Experiment, Outcome, Runs, Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
 
@@ -147,9 +149,15 @@ def experiment(runs: Runs) -> Outcome:
     return Outcome(
         summary=_summary(cells, costs), table=_table(cells), figures={"cells": cells, "one_wrong_match": costs},
         series=_series(results, blunders),
-        draw=partial(draw, cells=cells, blunders=blunders, before=BEFORE, shown=shown),
+        draw=partial(_draw, cells, blunders, shown),
         assumptions=ASSUMPTIONS, size=(12.0, 8.2),
     )  # fmt: skip
+
+
+def _draw(cells: Sequence[dict[str, Any]], blunders: Sequence[Blunder], shown: Example | None, figure: Figure) -> None:
+    from service.experiments.association_picture import draw  # only here: an extra
+
+    draw(figure, cells, blunders, BEFORE, shown)
 
 
 def _cell(results: Sequence[Result], noise: float, clutter: float, method: str) -> dict[str, Any]:
@@ -208,14 +216,10 @@ def _summary(cells: Sequence[dict[str, Any]], costs: dict[str, Any]) -> str:
 
 
 def _table(cells: Sequence[dict[str, Any]]) -> Table:
-    percent = ("correct", "wrong", "missed", "taken", "spoilt")
-    columns = (
-        "noise", "clutter", "method", "correct %", "wrong %", "missed %", "clutter taken %", "maps spoilt %",
-        "map error m", "pose NEES", "µs a step",
-    )  # fmt: skip
+    columns = ("noise / clutter", "method", "right %", "wrong %", "missed %", "spoilt %", "map m", "µs a step")
     rows = tuple(
-        (c["noise"], c["clutter"], c["method"], *(100.0 * c[name] for name in percent),
-         c["map_rmse"], c["pose_nees"], c["microseconds"])
+        (f"{c['noise']:g} / {c['clutter']:g}", c["method"],
+         *(100.0 * c[name] for name in ("correct", "wrong", "missed", "spoilt")), c["map_rmse"], c["microseconds"])
         for c in cells
     )  # fmt: skip
     return Table(columns, rows)

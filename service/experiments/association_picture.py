@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from service.experiments.style import dress, head, legend
 from service.exporters.picture import AXES, FAINT, INK, PAPER, ROBOTS, TREE
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ def draw(
     shown: Example | None,
 ) -> None:
     """Six panels: a scan that misleads, mistakes over noise and clutter, time, and what one mistake costs."""
-    figure.set_facecolor(PAPER)
+    head(figure, "association", "which landmark a reading is of, and what one mistake costs")
     axes = figure.subplots(2, 3)
     _draw_example(axes[0, 0], shown)
     noise = [c for c in cells if c["clutter"] == 0.0]
@@ -48,24 +49,9 @@ def draw(
     _draw_maps(axes[1, 2], blunders)
 
 
-def _dress(axes: Axes, title: str, x: str, y: str) -> None:
-    axes.set_facecolor(PAPER)
-    axes.set_title(title, loc="left", color=INK, fontsize=10.5, fontweight="bold")
-    axes.set_xlabel(x, color=INK, fontsize=9)
-    axes.set_ylabel(y, color=INK, fontsize=9)
-    axes.grid(color=INK, alpha=0.07, linewidth=0.7)
-    axes.tick_params(colors=FAINT, labelcolor=INK, length=3, labelsize=8.5)
-    for side in axes.spines.values():
-        side.set(color=FAINT, alpha=0.5)
-
-
-def _legend(axes: Axes, handles: Sequence[Line2D]) -> None:
-    axes.legend(handles=list(handles), frameon=False, fontsize=8, labelcolor=INK)
-
-
 def _draw_example(axes: Axes, shown: Example | None) -> None:
     """Where landmarks are expected, what is read, and to which of them each method gives it."""
-    _dress(axes, "One scan that misleads", "x ahead of the predicted pose (m)", "y (m)")
+    dress(axes, "One scan that misleads", "x ahead of the predicted pose (m)", "y (m)")
     axes.set(xlim=(-_REACH, _REACH), ylim=(-_REACH, _REACH), aspect="equal")
     if shown is None:
         axes.text(0.0, 0.0, "no scan misled the greedy method alone", ha="center", color=FAINT, fontsize=9)
@@ -78,7 +64,7 @@ def _draw_example(axes: Axes, shown: Example | None) -> None:
     axes.plot(*shown.landmarks.T, ls="", marker="o", ms=6, mfc=PAPER, mec=INK, mew=1.2, zorder=4)
     axes.plot(*shown.readings.T, ls="", marker="x", ms=5, mec=_RED, mew=1.6, zorder=5)
     axes.plot(0.0, 0.0, marker=(3, 0, -90), ms=9, color=INK, zorder=5)
-    _legend(axes, [
+    legend(axes, handles=[
         Line2D([], [], ls="", marker="o", ms=6, mfc=PAPER, mec=INK, label="landmark, as predicted"),
         Line2D([], [], ls="", marker="x", ms=5, mec=_RED, mew=1.6, label="reading"),
         Line2D([], [], color=TREE, lw=4.5, alpha=0.5, label="joint: all right"),
@@ -91,31 +77,31 @@ def _draw_shares(axes: Axes, cells: Sequence[dict[str, Any]], over: str, title: 
         "noise": "noise, in multiples of the σ named",
         "clutter": "false readings a scan",
     }
-    _dress(axes, title, labels[over], "readings given to a wrong landmark (%)")
+    dress(axes, title, labels[over], "readings given to a wrong landmark (%)")
     for method in ("greedy", "assignment", "joint"):
         mine = [c for c in cells if c["method"] == method]
         x, y = [c[over] for c in mine], [100.0 * c["wrong"] for c in mine]
         axes.plot(x, y, color=_HUES[method], marker="o", ms=4, lw=1.8, ls="--" if method == "assignment" else "-")
     axes.set_ylim(bottom=0.0)
-    _legend(axes, [
+    legend(axes, handles=[
         Line2D([], [], color=_HUES[m], marker="o", ms=4, ls="--" if m == "assignment" else "-", label=_NAMES[m])
         for m in ("greedy", "assignment", "joint")
     ])  # fmt: skip
 
 
 def _draw_time(axes: Axes, cells: Sequence[dict[str, Any]]) -> None:
-    _dress(axes, "Time, distances and choice", "false readings a scan", "a step (µs)")
+    dress(axes, "Time, distances and choice", "false readings a scan", "a step (µs)")
     for method in ("greedy", "assignment", "joint"):
         mine = [c for c in cells if c["method"] == method]
         x, y = [c["clutter"] for c in mine], [c["microseconds"] for c in mine]
         axes.plot(x, y, color=_HUES[method], marker="o", ms=4, lw=1.8, label=_NAMES[method])
     axes.set_ylim(bottom=0.0)
-    axes.legend(frameon=False, fontsize=8, labelcolor=INK)
+    legend(axes)
 
 
 def _draw_nees(axes: Axes, blunders: Sequence[Blunder], before: int) -> None:
     """Median and quartiles of the pose's NEES around the mistake."""
-    _dress(axes, "One wrong match: the pose", "steps since", "NEES per degree of freedom")
+    dress(axes, "One wrong match: the pose", "steps since", "NEES per degree of freedom")
     for name, (hue, label) in _COURSES.items():
         length = min(b.courses[name].pose_nees.size for b in blunders)
         whole = np.stack([b.courses[name].pose_nees[:length] for b in blunders])
@@ -126,12 +112,12 @@ def _draw_nees(axes: Axes, blunders: Sequence[Blunder], before: int) -> None:
     axes.axhline(1.0, color=INK, lw=0.8, ls=":")
     axes.set_yscale("log")
     axes.set_ylim(top=3e4)
-    axes.legend(loc="upper left", frameon=False, fontsize=8, labelcolor=INK)
+    legend(axes, loc="upper left")
 
 
 def _draw_maps(axes: Axes, blunders: Sequence[Blunder]) -> None:
     """Each run's map at the end, by what followed."""
-    _dress(
+    dress(
         axes, "One wrong match: the map", "error of the landmarks at the end (m)", "NEES of all, per degree of freedom"
     )
     for name, (hue, label) in _COURSES.items():
@@ -142,7 +128,7 @@ def _draw_maps(axes: Axes, blunders: Sequence[Blunder]) -> None:
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
     axes.xaxis.set_major_formatter(_plain)
     axes.xaxis.set_minor_formatter(NullFormatter())
-    axes.legend(loc="upper left", frameon=False, fontsize=8, labelcolor=INK)
+    legend(axes, loc="upper left")
 
 
 def _plain(value: float, _: object = None) -> str:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from service.experiments import association, association_world
+from service.experiments import association
 from service.experiments.association_runs import by_method, likeliest_mistake, run, with_mistake
 from service.experiments.association_world import CLUTTER, simulate
 from service.experiments.one_map import OneMap
+from service.experiments.runner import Workers
 from submaps.config import ObservationConfig
 from submaps.consistency import average_bounds, nees
 from submaps.geometry.space import PLANE
@@ -22,22 +21,6 @@ from tests.core.filters import DenseFilter, minus
 from tests.core.support import random_covariance
 
 SENSOR = ObservationConfig("range_bearing", (0.1, 0.02))
-A = TypeVar("A")
-B = TypeVar("B")
-
-
-class OneAfterTheOther:
-    """Runs in this process."""
-
-    def __init__(self, count: int, seed: int) -> None:
-        self.count = count
-        self.seed = seed
-
-    def generators(self, count: int) -> list[np.random.SeedSequence]:
-        return np.random.SeedSequence(self.seed).spawn(count)
-
-    def each(self, function: Callable[[A], B], items: Sequence[A], doing: str) -> list[B]:
-        return [function(item) for item in items]
 
 
 def test_one_map_is_the_right_invariant_filter() -> None:
@@ -99,10 +82,10 @@ def test_a_mistake_that_is_not_made_costs_nothing_and_one_that_is_made_is_felt()
 
 
 def test_the_outcome_is_that_of_its_seed_and_can_be_drawn(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(association_world, "LAPS", 1.1)
     monkeypatch.setattr(association, "CELLS", ((1.0, 0.0), (1.0, 2.0)))
     monkeypatch.setattr(association, "CLUTTERS", (0.0, 2.0))
-    one, other = (association.EXPERIMENT.run(OneAfterTheOther(1, 3)) for _ in range(2))
+    with Workers(1, 3, quiet=True) as runs:
+        one, other = (association.EXPERIMENT.run(runs) for _ in range(2))
     assert len(one.table.rows) == 8
     assert all(len(row) == len(one.table.columns) for row in one.table.rows)
     assert all(len(row) == len(one.series.columns) for row in one.series.rows)
